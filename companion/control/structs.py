@@ -9,9 +9,13 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from companion.control.packing import Memory, Terms
 
 Vector = NDArray[np.float64]
 
@@ -69,3 +73,28 @@ class Setpoint:
     quaternion_wxyz: Vector  # (4,) desired attitude, body FLU to world ENU
     body_rate_flu: Vector  # (3,) rad/s desired body rate
     torque_flu: Vector  # (3,) N·m desired body torque
+
+
+class AdaptationGate(enum.IntEnum):
+    """What the law's memory (integrals and network weights) may do in a step. The output is computed either way.
+
+    The order is from free to bound, so that of several opinions the greatest counts: `max(gates)`.
+    """
+
+    RUN = 0
+    """Normal flight: integrals and weights run, each stopped by itself where its own loop saturates."""
+    FREEZE_WEIGHTS = 1
+    """Integrals run, weights keep their value: the non-adaptive fall-back of the supervisor."""
+    FREEZE = 2
+    """Integrals and weights keep their values: stale data, a pilot at the sticks, an overrun loop."""
+    GROUND = 3
+    """On the ground or spooling up: integrals and weights are held at zero and start clean at lift-off."""
+
+
+@dataclass(frozen=True, slots=True)
+class StepResult:
+    """What one step of a law gives back."""
+
+    memory: Memory  # for the next step
+    setpoint: Setpoint  # for the autopilot
+    terms: Terms  # for the log
