@@ -1,0 +1,104 @@
+"""Addresses of autopilots, in pymavlink's spelling and in MAVSDK's.
+
+| kind       | pymavlink                    | MAVSDK                             | we …                              |
+|------------|------------------------------|------------------------------------|-----------------------------------|
+| UDP_IN     | `udpin:0.0.0.0:14540`, `udp:…` | `udpin://0.0.0.0:14540`, `udp://:14540` | listen, answer who speaks first |
+| UDP_OUT    | `udpout:192.168.1.2:14550`   | `udpout://192.168.1.2:14550`       | speak first to that address       |
+| TCP_CLIENT | `tcp:127.0.0.1:5760`         | `tcpout://127.0.0.1:5760`, `tcp://…` | connect                         |
+| TCP_SERVER | `tcpin:0.0.0.0:5760`         | `tcpin://0.0.0.0:5760`             | wait for one connection           |
+| SERIAL     | `/dev/ttyACM0`, `/dev/ttyAMA0,921600` | `serial:///dev/ttyACM0:921600` | open the port            |
+"""
+
+from __future__ import annotations
+
+import enum
+import re
+from dataclasses import dataclass
+
+from companion.config.errors import UserError
+
+DEFAULT_BAUD = 57600
+_SERIAL_PREFIXES = ("/dev/", "COM", "/tmp/", "./")
+
+
+class EndpointKind(enum.Enum):
+    """How the bytes reach the autopilot."""
+
+    UDP_IN = "udpin"
+    UDP_OUT = "udpout"
+    TCP_CLIENT = "tcp"
+    TCP_SERVER = "tcpin"
+    SERIAL = "serial"
+
+
+_SCHEMES = {
+    "udp": EndpointKind.UDP_IN,
+    "udpin": EndpointKind.UDP_IN,
+    "udpout": EndpointKind.UDP_OUT,
+    "udpcast": EndpointKind.UDP_OUT,
+    "tcp": EndpointKind.TCP_CLIENT,
+    "tcpout": EndpointKind.TCP_CLIENT,
+    "tcpin": EndpointKind.TCP_SERVER,
+    "serial": EndpointKind.SERIAL,
+    "serial_flowcontrol": EndpointKind.SERIAL,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Endpoint:
+    """A parsed address. `host` is the serial device's path for SERIAL; `number` is a port, or the baud rate."""
+
+    kind: EndpointKind
+    host: str
+    number: int
+
+    def __str__(self) -> str:
+        """Return pymavlink's spelling."""
+        if self.kind is EndpointKind.SERIAL:
+            return f"{self.host},{self.number}"
+        return f"{self.kind.value}:{self.host}:{self.number}"
+
+    @property
+    def mavsdk_url(self) -> str:
+        """The same address as MAVSDK spells it."""
+        if self.kind is EndpointKind.TCP_CLIENT:
+            return f"tcpout://{self.host}:{self.number}"
+        return f"{self.kind.value}://{self.host}:{self.number}"
+
+
+def parse_endpoint(text: str) -> Endpoint:
+    """Parse an address in either spelling.
+
+    Raises:
+        UserError: naming what is wrong with the address and showing one that works.
+    """
+    text = text.strip()
+    if text.startswith(_SERIAL_PREFIXES):
+        return _serial(text, text)
+    match = re.fullmatch(r"([a-zA-Z_]+):(?://)?(.*)", text)
+    if match is None or match.group(1).lower() not in _SCHEMES:
+        raise UserError(
+            f"endpoint {text!r}: not an address I know; use for example udpin:0.0.0.0:14540, "
+            "udpout:192.168.1.2:14550, tcp:127.0.0.1:5760 or /dev/ttyACM0,921600"
+        )
+    kind, rest = _SCHEMES[match.group(1).lower()], match.group(2)
+    if kind is EndpointKind.SERIAL:
+        return _serial(text, rest)
+    host, _, port = rest.rpartition(":")
+    host = host or ("0.0.0.0" if kind in (EndpointKind.UDP_IN, EndpointKind.TCP_SERVER) else "127.0.0.1")
+    return Endpoint(kind, host, _number(text, port, "port", 65535))
+
+
+def _serial(text: str, rest: str) -> Endpoint:
+    device, _, baud = rest.partition(",")
+    if not baud and (match := re.fullmatch(r"(.+):(\d+)", rest)):
+        device, baud = match.groups()
+    return Endpoint(
+        EndpointKind.SERIAL, device, _number(text, baud, "baud rate", 20_000_000) if baud else DEFAULT_BAUD
+    )
+
+
+def _number(text: str, digits: str, what: str, largest: int) -> int:
+    if not digits.isdecimal() or not 1 <= int(digits) <= largest:
+        raise UserError(f"endpoint {text!r}: the {what} {digits!r} is not a number from 1 to {largest}")
+    return int(digits)

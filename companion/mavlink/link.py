@@ -1,0 +1,216 @@
+"""One conversation with one autopilot: bytes in, believed messages out; messages in, bytes out.
+
+The link locks on to the first autopilot it hears (or the one named) and obeys nobody else: frames of other
+systems are counted and dropped. It answers the autopilot's TIMESYNC and nothing more; everything is done in the
+caller's thread, in the order the frames arrived.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections import Counter
+from collections.abc import Callable
+from typing import Any, Protocol
+
+os.environ.setdefault("MAVLINK20", "1")
+from pymavlink.dialects.v20 import ardupilotmega as mav
+
+from companion.mavlink.framing import StreamFramer, split_frames
+from companion.mavlink.timesync import TimeSync
+from companion.mavlink.transport import StreamTransport, UdpTransport
+
+Message = Any  # a message object of the pymavlink dialect; its fields are MAVLink's
+
+OUR_COMPONENT = mav.MAV_COMP_ID_ONBOARD_COMPUTER  # 191
+HEARTBEAT_PERIOD_S = 1.0
+AUTOPILOT_COMPONENT = mav.MAV_COMP_ID_AUTOPILOT1
+_NOT_AUTOPILOTS = (mav.MAV_AUTOPILOT_INVALID,)
+
+
+class FrameTap(Protocol):
+    """Receives every frame of the link, for the log."""
+
+    def __call__(self, outgoing: bool, autopilot_time_s: float, frame: bytes) -> None:
+        """Take one frame with the autopilot's time when it passed."""
+        ...
+
+
+class Link:
+    """See the module. `counters` holds what was seen and dropped, by reason."""
+
+    def __init__(
+        self,
+        transport: UdpTransport | StreamTransport,
+        tap: FrameTap | None = None,
+        now_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self._transport = transport
+        self._framer = None if transport.datagrams else StreamFramer()
+        self._codec = mav.MAVLink(None, srcSystem=1, srcComponent=OUR_COMPONENT)
+        self._codec.robust_parsing = True
+        self._tap = tap
+        self._now_ns = now_ns
+        self._last_heartbeat_ns = 0
+        self._last_heartbeat_autopilot_s = -1e9
+        self._last_timesync_autopilot_s = -1e9
+        self._expected_sequence: int | None = None
+        self._boot_time_s = 0.0
+        self.target_system: int | None = None
+        self.heartbeat: Message | None = None
+        self.counters: Counter[str] = Counter()
+        self.timesync = TimeSync()
+        self.last_message_ns = 0
+
+    @property
+    def tap(self) -> FrameTap | None:
+        """Where every frame is reported."""
+        return self._tap
+
+    @tap.setter
+    def tap(self, tap: FrameTap | None) -> None:
+        self._tap = tap
+
+    @property
+    def autopilot_time_s(self) -> float:
+        """The autopilot's time since boot, as of its latest time-stamped message (seconds)."""
+        return self._boot_time_s
+
+    @property
+    def silence_s(self) -> float:
+        """Our time since the autopilot's last message (seconds)."""
+        return (self._now_ns() - self.last_message_ns) * 1e-9 if self.last_message_ns else float("inf")
+
+    @property
+    def loss_ratio(self) -> float:
+        """Share of the autopilot's frames that never came, by sequence numbers."""
+        total = self.counters["received"] + self.counters["lost"]
+        return self.counters["lost"] / total if total else 0.0
+
+    def receive(self, timeout_s: float) -> list[Message]:
+        """The autopilot's messages that are waiting, in order; wait at most `timeout_s` for the first.
+
+        Raises:
+            ConnectionError: when a TCP or serial connection broke.
+        """
+        if not self._transport.wait(timeout_s):
+            return []
+        messages: list[Message] = []
+        for chunk in self._transport.receive():
+            if self._framer is None:
+                frames, used, skipped = split_frames(chunk)
+                self.counters["stray bytes"] += skipped + len(chunk) - used
+            else:
+                frames = self._framer.feed(chunk)
+            for frame in frames:
+                self._take(frame, messages)
+        return messages
+
+    def _take(self, frame: bytearray, messages: list[Message]) -> None:
+        try:
+            message = self._codec.decode(frame)
+        except mav.MAVError:
+            self.counters["bad frames"] += 1
+            if self._framer is not None:
+                for hidden in self._framer.reject(frame):
+                    self._take(hidden, messages)
+            return
+        if message.get_msgId() < 0:
+            self.counters["unknown messages"] += 1
+            return
+        if not self._is_our_autopilot(message):
+            self.counters["other senders"] += 1
+            return
+        self._count_loss(message.get_seq())
+        self.last_message_ns = self._now_ns()
+        self._note_time(message)
+        if self._tap is not None:
+            self._tap(False, self._boot_time_s, bytes(frame))
+        if message.get_msgId() == mav.MAVLINK_MSG_ID_TIMESYNC:
+            self._answer_timesync(message, messages)
+            return
+        if message.get_msgId() == mav.MAVLINK_MSG_ID_HEARTBEAT:
+            self.heartbeat = message
+        messages.append(message)
+
+    def _is_our_autopilot(self, message: Message) -> bool:
+        system, component = message.get_srcSystem(), message.get_srcComponent()
+        if self.target_system is None:
+            if (
+                message.get_msgId() != mav.MAVLINK_MSG_ID_HEARTBEAT
+                or component != AUTOPILOT_COMPONENT
+                or message.autopilot in _NOT_AUTOPILOTS
+            ):
+                return False
+            self.target_system = system
+            self._codec.srcSystem = system
+            if isinstance(self._transport, UdpTransport):
+                self._transport.believe_sender()
+        return bool(system == self.target_system and component == AUTOPILOT_COMPONENT)
+
+    def _count_loss(self, sequence: int) -> None:
+        self.counters["received"] += 1
+        if self._expected_sequence is not None:
+            gap = (sequence - self._expected_sequence) % 256
+            if gap < 128:  # more is a frame that came late or twice, not 128 lost ones
+                self.counters["lost"] += gap
+        self._expected_sequence = (sequence + 1) % 256
+
+    def _note_time(self, message: Message) -> None:
+        boot_ms = getattr(message, "time_boot_ms", None)
+        if boot_ms is None:
+            return
+        boot_s = boot_ms * 1e-3
+        # Streams are stamped when sampled, so small steps back are normal; a large one is a reboot.
+        if boot_s > self._boot_time_s or boot_s < self._boot_time_s - 5.0:
+            if boot_s < self._boot_time_s - 5.0:
+                self.counters["reboots"] += 1
+            self._boot_time_s = boot_s
+
+    def _answer_timesync(self, message: Message, messages: list[Message]) -> None:
+        now_ns = self._now_ns()
+        if message.tc1 != 0:
+            self.timesync.add(message.ts1, message.tc1, now_ns)
+            return
+        # What came before the question is handled by the caller before the answer goes out: a simulator that
+        # waits for the answer then knows that its state has been dealt with.
+        messages.append(message)
+
+    def answer_timesync(self, question: Message) -> None:
+        """Send the answer to a TIMESYNC question; the caller calls this in the order of messages."""
+        self.send(mav.MAVLink_timesync_message(self._now_ns(), question.ts1))
+
+    def send(self, message: Message) -> bool:
+        """Pack and send one message; False when it could not go out now (counted)."""
+        frame = message.pack(self._codec)
+        self._codec.seq = (self._codec.seq + 1) % 256
+        sent = self._transport.send(frame)
+        self.counters["sent" if sent else "unsent"] += 1
+        if sent and self._tap is not None:
+            self._tap(True, self._boot_time_s, bytes(frame))
+        return sent
+
+    def keep_alive(self) -> None:
+        """Send our HEARTBEAT at 1 Hz and a TIMESYNC question at 10 Hz, by the autopilot's clock while it speaks."""
+        now_ns = self._now_ns()
+        alone = self.silence_s > HEARTBEAT_PERIOD_S
+        due = (
+            (now_ns - self._last_heartbeat_ns) * 1e-9 >= HEARTBEAT_PERIOD_S
+            if alone
+            else abs(self._boot_time_s - self._last_heartbeat_autopilot_s) >= HEARTBEAT_PERIOD_S
+        )
+        if due:
+            self._last_heartbeat_ns = now_ns
+            self._last_heartbeat_autopilot_s = self._boot_time_s
+            self.send(
+                mav.MAVLink_heartbeat_message(
+                    mav.MAV_TYPE_ONBOARD_CONTROLLER, mav.MAV_AUTOPILOT_INVALID, 0, 0, mav.MAV_STATE_ACTIVE, 3
+                )
+            )
+        if not alone and abs(self._boot_time_s - self._last_timesync_autopilot_s) >= 0.1:
+            self._last_timesync_autopilot_s = self._boot_time_s
+            self.send(mav.MAVLink_timesync_message(0, now_ns))
+
+    def close(self) -> None:
+        """Close the wire."""
+        self._transport.close()

@@ -1,0 +1,74 @@
+"""What time it is on the autopilot, and how long messages take (TIMESYNC, message 111).
+
+We send ts1 = our clock; the autopilot answers at once with tc1 = its clock and our ts1. The half-way point of the
+round trip is the moment of tc1, off by at most half the round trip. PX4 answers late and with jitter (its
+parser sleeps 1 to 2.5 ms), always in the same direction; so of the last samples only the quickest is believed.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+WINDOW = 32  # samples; at 10 Hz a little over 3 s
+RATE_TOLERANCE = 0.02  # a clock that runs this much off ours is a simulation's, not a crystal's
+
+
+@dataclass(frozen=True, slots=True)
+class _Sample:
+    wall_s: float
+    offset_s: float
+    round_trip_s: float
+
+
+class TimeSync:
+    """Offset between the autopilot's clock and ours, filtered by round trip."""
+
+    def __init__(self) -> None:
+        self._samples: deque[_Sample] = deque(maxlen=WINDOW)
+
+    def add(self, sent_ns: int, autopilot_ns: int, received_ns: int) -> None:
+        """Take one answer: our clock at sending and at receiving, the autopilot's clock between (all ns)."""
+        round_trip_ns = received_ns - sent_ns
+        if round_trip_ns < 0 or round_trip_ns > 1_000_000_000 or autopilot_ns <= 0:
+            return
+        middle_ns = sent_ns + round_trip_ns // 2
+        self._samples.append(
+            _Sample(middle_ns * 1e-9, (autopilot_ns - middle_ns) * 1e-9, round_trip_ns * 1e-9)
+        )
+
+    @property
+    def samples(self) -> int:
+        """How many answers are in the window."""
+        return len(self._samples)
+
+    @property
+    def round_trip_s(self) -> float:
+        """Median round trip in seconds; nan without a sample."""
+        if not self._samples:
+            return float("nan")
+        return sorted(s.round_trip_s for s in self._samples)[len(self._samples) // 2]
+
+    @property
+    def offset_s(self) -> float:
+        """Autopilot's clock minus ours (seconds), from the quickest round trip; nan without a sample."""
+        if not self._samples:
+            return float("nan")
+        return min(self._samples, key=lambda s: s.round_trip_s).offset_s
+
+    @property
+    def steady(self) -> bool:
+        """Whether the autopilot's clock runs as fast as ours.
+
+        It does not in a simulation that runs faster or slower than real time: delays on the wall clock
+        then mean nothing in the vehicle's time, and nothing may be predicted from them.
+        """
+        if len(self._samples) < 8:
+            return False
+        first, last = self._samples[0], self._samples[-1]
+        elapsed = last.wall_s - first.wall_s
+        return elapsed > 0.2 and abs(last.offset_s - first.offset_s) < RATE_TOLERANCE * elapsed
+
+    def autopilot_time_s(self, our_time_s: float) -> float:
+        """The autopilot's clock at a moment of ours (seconds)."""
+        return our_time_s + self.offset_s
