@@ -1,0 +1,198 @@
+"""What differs between autopilots, as one contract. `px4.py` and `ardupilot.py` fill it in.
+
+An adapter knows modes and their numbers, what has to be true before a flight, what thrust means and how a
+setpoint is encoded. It holds no connection and sends nothing: it answers questions.
+"""
+
+from __future__ import annotations
+
+import enum
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from companion.control.structs import ControlLevel, Setpoint, Vector
+from companion.mavlink.frames import frd_from_flu, quaternion_ned_frd_from_enu_flu
+from companion.mavlink.link import Message, mav
+from companion.mavlink.protocol import Command
+
+TYPE_MASK_ATTITUDE = (
+    mav.ATTITUDE_TARGET_TYPEMASK_BODY_ROLL_RATE_IGNORE
+    | mav.ATTITUDE_TARGET_TYPEMASK_BODY_PITCH_RATE_IGNORE
+    | mav.ATTITUDE_TARGET_TYPEMASK_BODY_YAW_RATE_IGNORE
+)  # 7: attitude and thrust count. Mask 0 (everything counts) is a trap on both autopilots.
+TYPE_MASK_BODY_RATE = mav.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE  # 128: body rates and thrust count
+
+
+class Verdict(enum.Enum):
+    """How a preflight check ended."""
+
+    OK = "ok"
+    WARNING = "warning"
+    """Flyable, but the pilot should know."""
+    REFUSAL = "refusal"
+    """Not flyable as it is."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One preflight check: what was looked at, what was found, why it matters, and what mends it."""
+
+    verdict: Verdict
+    subject: str
+    found: str
+    why: str = ""
+    remedy: str = ""
+    fix: tuple[str, float] | None = None  # (parameter, value) that is safe to set for the flight
+
+
+class Intent(enum.Enum):
+    """Modes the companion asks for, by what they are for."""
+
+    EXTERNAL = "external"
+    """The autopilot follows our setpoints: PX4 OFFBOARD, ArduPilot GUIDED."""
+    LAND = "land"
+    """The autopilot lands where it is."""
+    HOLD = "hold"
+    """The autopilot holds its position: PX4 AUTO.LOITER, ArduPilot LOITER needs sticks, so BRAKE."""
+
+
+@dataclass(slots=True)
+class VehicleStatus:
+    """What the autopilot says of itself, kept up to date by `take`."""
+
+    custom_mode: int = -1
+    armed: bool = False
+    landed_state: int = mav.MAV_LANDED_STATE_UNDEFINED
+    prearm_ok: bool | None = None
+    estimator_flags: int | None = None
+    battery_remaining: float | None = None  # 0..1
+    battery_voltage_v: float | None = None
+    global_origin: tuple[float, float, float] | None = None  # latitude °, longitude °, altitude m
+    texts: list[tuple[int, str]] = field(default_factory=list)  # (severity, text), newest last, bounded
+
+    def take(self, message: Message) -> None:
+        """Take one message; ignores what it does not know."""
+        kind = message.get_msgId()
+        if kind == mav.MAVLINK_MSG_ID_HEARTBEAT:
+            self.custom_mode = message.custom_mode
+            self.armed = bool(message.base_mode & mav.MAV_MODE_FLAG_SAFETY_ARMED)
+        elif kind == mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE:
+            self.landed_state = message.landed_state
+        elif kind == mav.MAVLINK_MSG_ID_SYS_STATUS:
+            present = message.onboard_control_sensors_present & mav.MAV_SYS_STATUS_PREARM_CHECK
+            healthy = message.onboard_control_sensors_health & mav.MAV_SYS_STATUS_PREARM_CHECK
+            self.prearm_ok = bool(healthy) if present else None
+            self.battery_remaining = (
+                message.battery_remaining / 100.0 if message.battery_remaining >= 0 else None
+            )
+            self.battery_voltage_v = (
+                message.voltage_battery / 1000.0 if message.voltage_battery != 65535 else None
+            )
+        elif kind in (mav.MAVLINK_MSG_ID_ESTIMATOR_STATUS, mav.MAVLINK_MSG_ID_EKF_STATUS_REPORT):
+            self.estimator_flags = message.flags  # the low bits mean the same in both messages
+        elif kind == mav.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN:
+            self.global_origin = (message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3)
+        elif kind == mav.MAVLINK_MSG_ID_STATUSTEXT:
+            self.texts = [*self.texts[-19:], (message.severity, str(message.text))]
+
+
+class Adapter(ABC):
+    """One autopilot's ways."""
+
+    name: str
+    """For people: `PX4`, `ArduPilot`."""
+    profile_key: str
+    """Names this autopilot's responses in a vehicle profile."""
+    truth_message_id: int
+    """The message a simulation of this autopilot gives its true state in."""
+    spool_time_s: float
+    """From arming until positive thrust turns into thrust."""
+    bytewise_parameters: bool
+    """Whether integer parameters travel as bit patterns (PX4) or as values (ArduPilot)."""
+    hover_thrust_parameter: str
+    """The parameter that holds the thrust setpoint of hovering flight."""
+
+    @abstractmethod
+    def mode(self, intent: Intent) -> Command:
+        """The MAV_CMD_DO_SET_MODE that asks for `intent`."""
+
+    @abstractmethod
+    def mode_name(self, custom_mode: int) -> str:
+        """A custom_mode of HEARTBEAT as the autopilot's users call it."""
+
+    @abstractmethod
+    def is_mode(self, custom_mode: int, intent: Intent) -> bool:
+        """Whether HEARTBEAT's custom_mode is the mode of `intent`."""
+
+    @abstractmethod
+    def parameters_needed(self) -> tuple[str, ...]:
+        """Names of the parameters that `check` and the flight look at."""
+
+    @abstractmethod
+    def check(
+        self, parameters: Mapping[str, float], level: ControlLevel, version: tuple[int, int, int]
+    ) -> list[Finding]:
+        """Judge parameters and firmware version for a flight at `level`."""
+
+    def not_ready(self, status: VehicleStatus) -> list[str]:
+        """Why the autopilot cannot be armed for our mode yet; empty when it can."""
+        reasons = []
+        if status.prearm_ok is False:
+            reasons.append("pre-arm checks not passed")
+        flags = status.estimator_flags
+        if flags is not None:
+            needed = {
+                mav.ESTIMATOR_ATTITUDE: "attitude",
+                mav.ESTIMATOR_VELOCITY_HORIZ: "horizontal velocity",
+                mav.ESTIMATOR_VELOCITY_VERT: "vertical velocity",
+            }
+            reasons += [f"estimator has no {what}" for bit, what in needed.items() if not flags & bit]
+            if not flags & (mav.ESTIMATOR_POS_HORIZ_REL | mav.ESTIMATOR_POS_HORIZ_ABS):
+                reasons.append("estimator has no horizontal position")
+        return reasons
+
+    def encode(self, setpoint: Setpoint, time_s: float, thrust: float, target_system: int) -> Message:
+        """SET_ATTITUDE_TARGET of a setpoint at the attitude or body-rate level.
+
+        Args:
+            setpoint: what the control law asks for (ENU/FLU).
+            time_s: the autopilot's time since boot it is for.
+            thrust: the collective as the autopilot means it, 0..1.
+            target_system: the autopilot's system id.
+        """
+        return attitude_target(
+            target_system,
+            time_s,
+            TYPE_MASK_ATTITUDE if setpoint.level is ControlLevel.ATTITUDE else TYPE_MASK_BODY_RATE,
+            setpoint.quaternion_wxyz,
+            setpoint.body_rate_flu,
+            thrust,
+        )
+
+
+def attitude_target(
+    target_system: int,
+    time_s: float,
+    type_mask: int,
+    quaternion_wxyz: Vector,
+    body_rate_flu: Vector,
+    thrust: float,
+) -> Message:
+    """SET_ATTITUDE_TARGET from ENU/FLU values: quaternion (4,), body rate (3,) rad/s, thrust 0..1."""
+    rates_frd = frd_from_flu(body_rate_flu)
+    return mav.MAVLink_set_attitude_target_message(
+        round(time_s * 1e3) & 0xFFFFFFFF,
+        target_system,
+        mav.MAV_COMP_ID_AUTOPILOT1,
+        type_mask,
+        [float(q) for q in quaternion_ned_frd_from_enu_flu(quaternion_wxyz)],
+        float(rates_frd[0]),
+        float(rates_frd[1]),
+        float(rates_frd[2]),
+        thrust,
+    )
+
+
+ARM = Command(mav.MAV_CMD_COMPONENT_ARM_DISARM, (1.0,), "arm")
+DISARM = Command(mav.MAV_CMD_COMPONENT_ARM_DISARM, (0.0,), "disarm")

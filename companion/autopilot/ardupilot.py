@@ -1,0 +1,136 @@
+"""ArduPilot Copter: GUIDED mode. Facts from ArduCopter 4.7 (docs/autopilots.md says how each was seen)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from companion.autopilot.adapter import Adapter, Finding, Intent, Verdict
+from companion.control.structs import ControlLevel
+from companion.mavlink.link import mav
+from companion.mavlink.protocol import Command
+
+THRUST_AS_THRUST = 8
+"""Bit 3 of GUID_OPTIONS: SET_ATTITUDE_TARGET's thrust is thrust. Without it, it is a climb rate about 0.5."""
+
+_MODES = {Intent.EXTERNAL: 4, Intent.LAND: 9, Intent.HOLD: 17}
+_NAMES = {
+    0: "STABILIZE", 1: "ACRO", 2: "ALT_HOLD", 3: "AUTO", 4: "GUIDED", 5: "LOITER", 6: "RTL", 7: "CIRCLE", 9: "LAND",
+    11: "DRIFT", 13: "SPORT", 14: "FLIP", 15: "AUTOTUNE", 16: "POSHOLD", 17: "BRAKE", 18: "THROW", 20: "GUIDED_NOGPS",
+    21: "SMART_RTL", 22: "FLOWHOLD", 23: "FOLLOW", 24: "ZIGZAG", 27: "AUTO_RTL",
+}  # fmt: skip
+
+
+class ArduPilot(Adapter):
+    """See `Adapter`."""
+
+    name = "ArduPilot"
+    profile_key = "ardupilot"
+    truth_message_id = mav.MAVLINK_MSG_ID_SIM_STATE
+    spool_time_s = 2.5  # 2 s arming delay and 0.5 s spool-up
+    bytewise_parameters = False
+    hover_thrust_parameter = "MOT_THST_HOVER"
+
+    def mode(self, intent: Intent) -> Command:
+        """See `Adapter.mode`."""
+        return Command(mav.MAV_CMD_DO_SET_MODE, (1.0, float(_MODES[intent])), f"mode {intent.value}")
+
+    def mode_name(self, custom_mode: int) -> str:
+        """See `Adapter.mode_name`."""
+        return _NAMES.get(custom_mode, f"mode {custom_mode}")
+
+    def is_mode(self, custom_mode: int, intent: Intent) -> bool:
+        """See `Adapter.is_mode`."""
+        return custom_mode == _MODES[intent]
+
+    def parameters_needed(self) -> tuple[str, ...]:
+        """See `Adapter.parameters_needed`."""
+        return (
+            "GUID_OPTIONS",
+            "GUID_TIMEOUT",
+            "ATC_ANGLE_BOOST",
+            "MOT_THST_HOVER",
+            "MOT_THST_EXPO",
+            "ANGLE_MAX",
+            "ATC_ANGLE_MAX",
+        )
+
+    def check(
+        self, parameters: Mapping[str, float], level: ControlLevel, version: tuple[int, int, int]
+    ) -> list[Finding]:
+        """See `Adapter.check`."""
+        findings = []
+        if level is ControlLevel.ACTUATOR:
+            findings.append(
+                Finding(
+                    Verdict.REFUSAL,
+                    "actuator controls",
+                    "ArduPilot",
+                    "ArduPilot never took SET_ACTUATOR_CONTROL_TARGET",
+                    "fly at --level body_rate",
+                )
+            )
+        options = parameters.get("GUID_OPTIONS")
+        if options is None:
+            findings.append(
+                Finding(
+                    Verdict.REFUSAL,
+                    "GUID_OPTIONS",
+                    "not answered",
+                    "without bit 3 thrust means climb rate, so it has to be known",
+                    "check the link's quality and try again",
+                )
+            )
+        elif not int(options) & THRUST_AS_THRUST:
+            findings.append(
+                Finding(
+                    Verdict.REFUSAL,
+                    "GUID_OPTIONS",
+                    f"{options:.0f}",
+                    "thrust means climb rate on this vehicle",
+                    f"set GUID_OPTIONS to {int(options) | THRUST_AS_THRUST} (it is {options:.0f}), or fly with --fix",
+                    ("GUID_OPTIONS", float(int(options) | THRUST_AS_THRUST)),
+                )
+            )
+        else:
+            findings.append(Finding(Verdict.OK, "GUID_OPTIONS", f"{options:.0f}", "thrust means thrust"))
+        boost = parameters.get("ATC_ANGLE_BOOST")
+        if boost is None or boost != 0.0:
+            findings.append(
+                Finding(
+                    Verdict.REFUSAL,
+                    "ATC_ANGLE_BOOST",
+                    "not answered" if boost is None else f"{boost:.0f}",
+                    "the autopilot would multiply our thrust by 1/cos(tilt) once more",
+                    "set ATC_ANGLE_BOOST to 0, or fly with --fix",
+                    None if boost is None else ("ATC_ANGLE_BOOST", 0.0),
+                )
+            )
+        else:
+            findings.append(Finding(Verdict.OK, "ATC_ANGLE_BOOST", "0", "thrust goes through as sent"))
+        timeout = parameters.get("GUID_TIMEOUT")
+        if timeout is not None:
+            quick = timeout <= 3.0
+            findings.append(
+                Finding(
+                    Verdict.OK if quick else Verdict.WARNING,
+                    "GUID_TIMEOUT",
+                    f"{timeout:.1f} s",
+                    ""
+                    if quick
+                    else "a dead companion is noticed this late only, and the vehicle then only levels and holds height",
+                    "" if quick else "set GUID_TIMEOUT to 1",
+                )
+            )
+        hover = parameters.get("MOT_THST_HOVER")
+        if hover is not None:
+            sane = 0.1 <= hover <= 0.8
+            findings.append(
+                Finding(
+                    Verdict.OK if sane else Verdict.REFUSAL,
+                    "MOT_THST_HOVER",
+                    f"{hover:.3f}",
+                    "thrust in newtons is scaled by it",
+                    "" if sane else "hover once in ALT_HOLD with MOT_HOVER_LEARN 2",
+                )
+            )
+        return findings
