@@ -1,7 +1,7 @@
 """What a flight log holds: the numeric channels, field by field, with units and shapes.
 
-Every numeric channel is a fixed-size record of float64, written as CDR (ROS 2's wire format: four
-bytes of header, then the doubles) under a `ros2msg` schema that stands in the file itself. So one
+Every numeric channel is a fixed-size record of float64 (or int64), written as CDR (ROS 2's wire format:
+four bytes of header, then the numbers) under a `ros2msg` schema that stands in the file itself. So one
 record costs a copy of its bytes to write, a whole channel is one `numpy.frombuffer` to read, and
 Foxglove, PlotJuggler and `mcap` read it without this package.
 
@@ -13,8 +13,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+
+import numpy as np
 
 TIME_FIELD = "time_s"
 CDR_HEADER = b"\x00\x01\x00\x00"  # plain CDR, little endian
@@ -24,13 +26,14 @@ _TOPIC = re.compile(r"(?:/[a-z0-9_]+)+")
 
 @dataclass(frozen=True, slots=True)
 class FieldSpec:
-    """One field: `width` doubles, laid out row by row when `shape` has two numbers."""
+    """One field: `width` numbers of 8 bytes, laid out row by row when `shape` has two numbers."""
 
     name: str
     width: int = 1
     unit: str = ""
     note: str = ""
     shape: tuple[int, ...] = ()
+    kind: str = "float64"  # or int64
 
     def __post_init__(self) -> None:
         """Refuse what would not survive in the file. Raises ValueError."""
@@ -40,12 +43,14 @@ class FieldSpec:
             )
         if self.width < 1:
             raise ValueError(f"field {self.name!r} has width {self.width}, needs at least 1")
+        if self.kind not in ("float64", "int64"):
+            raise ValueError(f"field {self.name!r} is of {self.kind}: only float64 and int64 are written")
         if self.shape and math.prod(self.shape) != self.width:
             raise ValueError(f"field {self.name!r}: shape {self.shape} does not hold {self.width} numbers")
 
     def definition(self) -> str:
         """Return the line of the message definition: type, name, and unit, shape and note as a comment."""
-        kind = "float64" if self.width == 1 and not self.shape else f"float64[{self.width}]"
+        kind = self.kind if self.width == 1 and not self.shape else f"{self.kind}[{self.width}]"
         shape = f"shape {'x'.join(map(str, self.shape))}" if self.shape else ""
         comment = "; ".join(
             part for part in (f"[{self.unit}]" if self.unit else "", shape, self.note) if part
@@ -55,7 +60,7 @@ class FieldSpec:
 
 @dataclass(frozen=True, slots=True)
 class ChannelSpec:
-    """One numeric channel. `pose` names its position field and its quaternion field (or None) for 3D views."""
+    """One numeric channel. `pose` names its position and its quaternion field (or None) for 3D views."""
 
     topic: str
     fields: tuple[FieldSpec, ...]
@@ -99,13 +104,13 @@ class ChannelSpec:
         return "\n".join(item.definition() for item in (time, *self.fields)) + "\n"
 
 
-_DEFINITION_LINE = re.compile(r"float64(?:\[(\d+)\])?\s+(\w+)\s*(?:#\s*(.*))?")
+_DEFINITION_LINE = re.compile(r"(float64|int64)(?:\[(\d+)\])?\s+(\w+)\s*(?:#\s*(.*))?")
 
 
 def parse_definition(text: str) -> tuple[FieldSpec, ...]:
     """Read a message definition back into fields, `time_s` included.
 
-    Raises ValueError for a definition that is not made of float64 and fixed arrays of them.
+    Raises ValueError for a definition that is not made of float64, int64 and fixed arrays of them.
     """
     fields = []
     for line in text.splitlines():
@@ -113,12 +118,13 @@ def parse_definition(text: str) -> tuple[FieldSpec, ...]:
             continue
         match = _DEFINITION_LINE.fullmatch(line)
         if match is None:
-            raise ValueError(f"not a record of float64: {line!r}")
-        width, name, comment = match.group(1), match.group(2), match.group(3) or ""
+            raise ValueError(f"not a record of float64 and int64: {line!r}")
+        kind, width, name, comment = match.group(1, 2, 3, 4)
+        comment = comment or ""
         unit = re.match(r"\[([^\]]*)\]", comment)
         shape = re.search(r"(?:^|; )shape (\d+(?:x\d+)*)", comment)
         sizes = tuple(int(part) for part in shape.group(1).split("x")) if shape else ()
-        fields.append(FieldSpec(name, int(width or 1), unit.group(1) if unit else "", "", sizes))
+        fields.append(FieldSpec(name, int(width or 1), unit.group(1) if unit else "", "", sizes, kind))
     return tuple(fields)
 
 
@@ -204,8 +210,40 @@ ESTIMATES = ChannelSpec(
 
 
 def terms_channel(layout: Iterable[tuple[str, int, str]], topic: str = "/terms") -> ChannelSpec:
-    """Return the channel for a control law's packed terms, from its layout of (name, width, unit)."""
+    """Return the channel for packed terms, from their layout of (name, width, unit)."""
     return ChannelSpec(topic, tuple(FieldSpec(name, width, unit) for name, width, unit in layout))
+
+
+def packed_channel(
+    topic: str, dtype: np.dtype[np.void], units: Mapping[str, str] | None = None
+) -> ChannelSpec:
+    """Return the channel for a packed record of 8-byte numbers, such as `companion.control.packing.TERMS`.
+
+    Nested records are flattened, `position.U_error` becoming `position_u_error` (ROS 2 wants lower case).
+    `units` gives a unit by that name. Log it with `record(channel, time_s, values)`, values being the record.
+    Raises ValueError where the record has padding or other types.
+    """
+    fields: list[FieldSpec] = []
+    _flatten(dtype, "", units or {}, fields)
+    if 8 * sum(item.width for item in fields) != dtype.itemsize:
+        raise ValueError(f"the record for {topic} has padding: {dtype.itemsize} bytes")
+    return ChannelSpec(topic, tuple(fields))
+
+
+def _flatten(dtype: np.dtype[np.void], prefix: str, units: Mapping[str, str], into: list[FieldSpec]) -> None:
+    for name in dtype.names or ():
+        inner = dtype[name]
+        label = re.sub("_+", "_", f"{prefix}{name}".lower())
+        if inner.names:
+            _flatten(inner, f"{label}_", units, into)
+            continue
+        shape = inner.shape
+        width = math.prod(shape) if shape else 1
+        into.append(
+            FieldSpec(
+                label, width, units.get(label, ""), "", shape if len(shape) > 1 else (), inner.base.name
+            )
+        )
 
 
 def weights_channel(loop: str, neurons: int) -> ChannelSpec:

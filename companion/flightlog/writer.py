@@ -12,13 +12,11 @@ from __future__ import annotations
 import contextlib
 import math
 import os
-import shutil
 import struct
 import threading
 import time
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +26,7 @@ from numpy.typing import NDArray
 from companion.config.errors import UserError
 from companion.flightlog import events, poses
 from companion.flightlog.channels import CDR_HEADER, ChannelSpec
+from companion.flightlog.health import LogHealth, free_bytes, open_for_writing
 from companion.flightlog.mcap_file import McapFile
 
 PROFILE = "companion"
@@ -46,24 +45,6 @@ MAVLINK_SCHEMA_NAME = "companion/msg/MavlinkFrame"
 _DOUBLE = struct.Struct("<d")
 _RECORD_HEAD = struct.Struct("<4sd")
 _FRAME_HEAD = struct.Struct("<4sdI")
-
-
-@dataclass(frozen=True, slots=True)
-class LogHealth:
-    """How the log is doing, for the supervisor and the last line of a flight."""
-
-    written: int  # records in the file
-    waiting: int  # records in the queue
-    dropped: int  # records lost because the queue was full
-    rejected: int  # records lost because they did not fit their channel: a defect of the caller
-    lost: int  # records lost because the file could not take them
-    free_bytes: int  # room left on the disk, -1 where unknown
-    trouble: str  # what went wrong last, empty if nothing did
-
-    @property
-    def complete(self) -> bool:
-        """Whether every record reached the file or still waits for it."""
-        return self.dropped == self.rejected == self.lost == 0
 
 
 class Channel:
@@ -134,7 +115,7 @@ class FlightLog:
         self._by_topic: dict[str, int] = {}
         self._closed = False
         self._stop = threading.Event()
-        self._descriptor = _open(self.path, overwrite, minimum_free_bytes)
+        self._descriptor = open_for_writing(self.path, overwrite, minimum_free_bytes)
         try:
             self._file = McapFile(self._descriptor, profile=PROFILE, library=LIBRARY)
             self._prepare()
@@ -170,8 +151,8 @@ class FlightLog:
         self._queue.append(("define", channel))
         return channel
 
-    def record(self, channel: Channel, time_s: float, *parts: NDArray[np.float64] | float) -> None:
-        """Log one record: `parts` are the fields in order, as float64 arrays, floats, or one packed array.
+    def record(self, channel: Channel, time_s: float, *parts: NDArray[np.float64] | np.void | float) -> None:
+        """Log one record: `parts` are the fields in order, as float64 arrays and floats, or one packed record.
 
         Copies at once, never blocks, never raises: what does not fit the channel is counted as rejected.
         """
@@ -179,10 +160,7 @@ class FlightLog:
             self._dropped += 1
             return
         try:
-            if len(parts) == 1 and type(parts[0]) is np.ndarray and parts[0].dtype == np.float64:
-                body = parts[0].tobytes()
-            else:
-                body = b"".join([_doubles(part) for part in parts])
+            body = _packed(parts[0]) if len(parts) == 1 else b"".join([_packed(part) for part in parts])
             self._queue.append(("record", channel, time_s, body))
         except Exception as error:  # a defect in what is logged must not cost the flight
             self._rejected += 1
@@ -226,12 +204,9 @@ class FlightLog:
     @property
     def health(self) -> LogHealth:
         """How the log is doing. Asks the file system for its free space: not for every control step."""
-        try:
-            free = shutil.disk_usage(self.path.parent).free
-        except OSError:
-            free = -1
+        room = free_bytes(self.path)
         return LogHealth(
-            self._written, len(self._queue), self._dropped, self._rejected, self._lost, free, self._trouble
+            self._written, len(self._queue), self._dropped, self._rejected, self._lost, room, self._trouble
         )
 
     def close(self, timeout_s: float = 10.0) -> LogHealth:
@@ -298,8 +273,8 @@ class FlightLog:
             try:
                 self._guard(self._handle, item)
             except OSError:
-                if item[0] == "define":
-                    queue.append(item)  # without its channel every later record would be lost
+                if item[0] in ("define", "metadata", "attach"):
+                    queue.append(item)  # asked for once and needed: again when there is room
             except Exception as error:
                 self._rejected += 1
                 self._unfit = f"{item[0]}: {error}"
@@ -379,41 +354,23 @@ class FlightLog:
         if len(body) != 8 * spec.width:
             raise ValueError(f"{spec.topic} takes {spec.width} numbers, was given {len(body) / 8:g}")
         if not channel.channel_id:
-            raise ValueError(f"{spec.topic} is not in the file: it could not be written when it was defined")
+            self._lost += 1  # the disk refused the channel itself; it is tried again
+            return
         log_time = self._log_time(time_s)
         self._file.add_message(channel.channel_id, log_time, _RECORD_HEAD.pack(CDR_HEADER, time_s) + body)
         if channel.pose_slices is not None and log_time >= channel.next_pose_ns:
             channel.next_pose_ns = log_time + POSE_INTERVAL_NS
             numbers = np.frombuffer(body)
             where, turn = channel.pose_slices
-            quaternion = (1.0, 0.0, 0.0, 0.0) if turn is None else numbers[turn]
-            encoded = poses.encode_pose(log_time, channel.frame, numbers[where], quaternion)
+            quaternion = [1.0, 0.0, 0.0, 0.0] if turn is None else numbers[turn].tolist()
+            encoded = poses.encode_pose(log_time, channel.frame, numbers[where].tolist(), quaternion)
             for channel_id, data in zip(channel.pose_ids, encoded, strict=True):
                 self._file.add_message(channel_id, log_time, data)
 
 
-def _doubles(part: NDArray[np.float64] | float) -> bytes:
-    if isinstance(part, np.ndarray):
-        return part.tobytes() if part.dtype == np.float64 else part.astype(np.float64).tobytes()
+def _packed(part: NDArray[np.float64] | np.void | float) -> bytes:
+    if isinstance(part, (np.ndarray, np.void)):
+        if part.dtype == np.float64 or part.dtype.names:
+            return part.tobytes()
+        return np.asarray(part, dtype=np.float64).tobytes()
     return _DOUBLE.pack(part)
-
-
-def _open(path: Path, overwrite: bool, minimum_free_bytes: int) -> int:
-    """Open the log for writing. Raises UserError that says what to do."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        free = shutil.disk_usage(path.parent).free
-        if free < minimum_free_bytes:
-            raise UserError(
-                f"no room for the log {path}: {free / 1e6:.0f} MB free, {minimum_free_bytes / 1e6:.0f} wanted; "
-                "make room or choose another disk with --log"
-            )
-        flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | (os.O_TRUNC if overwrite else os.O_EXCL)
-        return os.open(path, flags, 0o644)
-    except FileExistsError as error:
-        raise UserError(f"the log {path} exists already; name another one with --log or remove it") from error
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise UserError(
-            f"cannot write the log {path}: {reason}; choose a folder you may write, with --log"
-        ) from error
