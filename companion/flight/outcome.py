@@ -1,0 +1,75 @@
+"""How a flight can end, in types: what interrupts it, and what is said afterwards."""
+
+from __future__ import annotations
+
+import enum
+
+
+class Outcome(enum.Enum):
+    """The last word on a flight. `exit_code` is the process's."""
+
+    COMPLETED = "completed"
+    """Everything that was asked was flown, and the vehicle is disarmed."""
+    REFUSED = "refused"
+    """Nothing left the ground: a check refused the flight, or the autopilot would not arm."""
+    PILOT = "pilot took over"
+    """The pilot changed the mode or disarmed; our control ended there."""
+    INTERRUPTED = "interrupted"
+    """Ctrl-C or SIGTERM: landed by the autopilot."""
+    ABORTED = "aborted"
+    """The supervisor ended the flight: landed by the autopilot."""
+    HANDED_BACK = "handed back"
+    """A second Ctrl-C: the autopilot holds, we are gone."""
+    LINK_LOST = "link lost"
+    """The autopilot fell silent; what it does now is its own offboard-loss action."""
+
+    @property
+    def exit_code(self) -> int:
+        """0 completed; 1 the link was lost; 2 refused; 3 ended early, in safe hands."""
+        return {"completed": 0, "link lost": 1, "refused": 2}.get(self.value, 3)
+
+
+class FlightEnd(Exception):
+    """Base of what ends a flight before its plan does. `str()` is a sentence for the pilot."""
+
+    outcome = Outcome.ABORTED
+
+
+class Refused(FlightEnd):
+    """The flight may not begin."""
+
+    outcome = Outcome.REFUSED
+
+
+class PilotTookOver(FlightEnd):
+    """A mode change or disarm that was not ours."""
+
+    outcome = Outcome.PILOT
+
+
+class Interrupted(FlightEnd):
+    """Ctrl-C or SIGTERM."""
+
+    outcome = Outcome.INTERRUPTED
+
+
+class Aborted(FlightEnd):
+    """A limit of the supervisor was reached."""
+
+    outcome = Outcome.ABORTED
+
+
+class HandedBack(FlightEnd):
+    """A second Ctrl-C."""
+
+    outcome = Outcome.HANDED_BACK
+
+
+class LinkLost(FlightEnd):
+    """Nothing has been heard from the autopilot for too long."""
+
+    outcome = Outcome.LINK_LOST
+
+
+class WaitedTooLong(Exception):
+    """A condition did not come true in time; the caller knows what that means."""

@@ -1,0 +1,101 @@
+"""The flight laid out in time, before anything is armed: climb, go to start, hold, run in, track, run out, return.
+
+The parts meet in position, velocity and acceleration, so that the control law can look ahead across
+their joints. Sampling is by time since the plan began, which is the moment of lift-off.
+"""
+
+from __future__ import annotations
+
+import bisect
+import math
+from dataclasses import dataclass
+
+from companion.control.structs import Reference
+from companion.flight.phases import Phase
+from companion.reference.hold import Hold
+from companion.reference.trajectory import Trajectory, resting
+from companion.reference.transit import TransitLimits, climb, run_in, run_out, transit
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """One part of the plan."""
+
+    phase: Phase
+    trajectory: Trajectory
+    start_s: float  # since the plan began
+    duration_s: float  # flown, which may be less than the trajectory's own
+
+
+class FlightPlan:
+    """See the module."""
+
+    def __init__(self, legs: list[tuple[Phase, Trajectory, float]]) -> None:
+        self.legs: list[Leg] = []
+        start_s = 0.0
+        for phase, trajectory, duration_s in legs:
+            self.legs.append(Leg(phase, trajectory, start_s, duration_s))
+            start_s += duration_s
+        self.duration_s = start_s
+        self._starts = [leg.start_s for leg in self.legs]
+
+    def leg_at(self, time_s: float) -> Leg:
+        """The leg flown at `time_s` since the plan began; the first before, the last after."""
+        return self.legs[max(0, bisect.bisect_right(self._starts, time_s) - 1)]
+
+    def sample(self, time_s: float) -> Reference:
+        """The reference at `time_s` since the plan began."""
+        leg = self.leg_at(time_s)
+        return leg.trajectory.sample(min(time_s - leg.start_s, leg.duration_s))
+
+    def leg(self, phase: Phase) -> Leg:
+        """The leg of a phase (each comes once)."""
+        return next(leg for leg in self.legs if leg.phase is phase)
+
+
+def lay_out(
+    ground: Reference,
+    trajectory: Trajectory,
+    track_s: float,
+    hold_s: float,
+    height_m: float,
+    limits: TransitLimits,
+) -> FlightPlan:
+    """Plan a whole flight.
+
+    Args:
+        ground: the vehicle at rest where it stands (local ENU).
+        trajectory: what is to be tracked, already placed in local ENU.
+        track_s: how long it is tracked; longer than the trajectory is cut to its duration.
+        hold_s: how long to hold before the run-in.
+        height_m: take-off height above the ground.
+        limits: for everything but the tracking itself.
+    """
+    track_s = min(track_s, trajectory.duration_s)
+    up = climb(ground, float(ground.position_enu[2]) + height_m, limits)
+    top = up.sample(up.duration_s)
+    entry = run_in(trajectory, limits)
+    start = entry.sample(0.0)
+    go = transit(top, start, limits)
+    leave = run_out(trajectory.sample(track_s), limits)
+    rest = leave.sample(leave.duration_s)
+    above_home = resting(top.position_enu, ground.yaw_rad)
+    back = transit(rest, above_home, limits)
+    hold = Hold(start.position_enu, start.yaw_rad)
+    return FlightPlan(
+        [
+            (Phase.CLIMB, up, up.duration_s),
+            (Phase.GO_TO_START, go, go.duration_s),
+            (Phase.HOLD, hold, hold_s),
+            (Phase.RUN_IN, entry, entry.duration_s),
+            (Phase.TRACK, trajectory, track_s),
+            (Phase.RUN_OUT, leave, leave.duration_s),
+            (Phase.RETURN, back, back.duration_s),
+        ]
+    )
+
+
+def tracking_time(plan: FlightPlan, time_s: float) -> float:
+    """Seconds since tracking began; nan while not tracking."""
+    leg = plan.leg_at(time_s)
+    return time_s - leg.start_s if leg.phase is Phase.TRACK else math.nan

@@ -1,0 +1,149 @@
+"""What of a flight goes into its log, and where it is made. Between the flight and `companion.flightlog`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+
+from companion.autopilot.adapter import Adapter, VehicleStatus
+from companion.control.structs import ControlLevel, Reference, Setpoint, StepResult, VehicleState
+from companion.flightlog.channels import (
+    ESTIMATES,
+    REFERENCE,
+    SETPOINT,
+    STATE,
+    TIMING,
+    TRUTH,
+    ChannelSpec,
+    FieldSpec,
+    terms_channel,
+    weights_channel,
+)
+from companion.flightlog.writer import FlightLog
+from companion.mavlink.frames import enu_from_global, enu_from_ned, flu_from_frd, quaternion_enu_flu_from_ned_frd
+from companion.mavlink.link import Message, mav
+
+LEVEL_NUMBER = {ControlLevel.ATTITUDE: 0.0, ControlLevel.BODY_RATE: 1.0, ControlLevel.ACTUATOR: 2.0}
+
+
+class Recorder:
+    """Writes one flight into one log. All times are the autopilot's."""
+
+    def __init__(self, log: FlightLog, terms: Iterable[tuple[str, int, str]], inputs: int, neurons: int) -> None:
+        self.log = log
+        self._state = log.define(STATE)
+        self._reference = log.define(REFERENCE)
+        self._setpoint = log.define(SETPOINT)
+        self._truth = log.define(TRUTH)
+        self._timing = log.define(TIMING)
+        self._estimates = log.define(ESTIMATES)
+        self._terms = log.define(terms_channel(terms))
+        self._input = log.define(ChannelSpec("/law_input", (FieldSpec("packed", inputs, "", "control.packing.INPUT"),)))
+        self._position_weights = log.define(weights_channel("position", neurons))
+        self._attitude_weights = log.define(weights_channel("attitude", neurons))
+        self.truth_seen = 0
+
+    def frame(self, outgoing: bool, autopilot_time_s: float, frame: bytes) -> None:
+        """One MAVLink frame; the link's tap."""
+        self.log.mavlink("out" if outgoing else "in", autopilot_time_s, frame)
+
+    def state(self, state: VehicleState, position_age_s: float) -> None:
+        """The state as assembled, at its own time."""
+        self.log.record(
+            self._state,
+            state.time_s,
+            state.position_enu,
+            state.velocity_enu,
+            state.quaternion_wxyz,
+            state.body_rate_flu,
+            position_age_s,
+            0.0,
+        )
+
+    def reference(self, time_s: float, reference: Reference, tracking_s: float) -> None:
+        """The reference at `time_s`."""
+        self.log.record(
+            self._reference,
+            time_s,
+            reference.position_enu,
+            reference.velocity_enu,
+            reference.acceleration_enu,
+            reference.jerk_enu,
+            reference.snap_enu,
+            reference.yaw_rad,
+            reference.yaw_rate_rad_s,
+            reference.yaw_acceleration_rad_s2,
+            tracking_s,
+        )
+
+    def setpoint(self, time_s: float, setpoint: Setpoint, thrust_normalised: float) -> None:
+        """The setpoint as sent."""
+        self.log.record(
+            self._setpoint,
+            time_s,
+            LEVEL_NUMBER[setpoint.level],
+            setpoint.thrust_newton,
+            thrust_normalised,
+            setpoint.quaternion_wxyz,
+            setpoint.body_rate_flu,
+            setpoint.torque_flu,
+        )
+
+    def step(self, time_s: float, packed_input: np.ndarray, packed_terms: np.ndarray, result: StepResult) -> None:
+        """Everything the law saw, made and remembers."""
+        self.log.record(self._input, time_s, packed_input)
+        self.log.record(self._terms, time_s, packed_terms)
+        self.log.record(self._position_weights, time_s, np.ravel(result.memory.position_weights))
+        self.log.record(self._attitude_weights, time_s, np.ravel(result.memory.attitude_weights))
+
+    def timing(self, time_s: float, period_s: float, compute_s: float, law_s: float) -> None:
+        """Wall-clock durations of one control step."""
+        self.log.record(self._timing, time_s, period_s, compute_s, law_s, float(self.log.waiting))
+
+    def estimates(
+        self, time_s: float, hover_thrust: float, offset_s: float, round_trip_s: float, delay_s: float, status: VehicleStatus
+    ) -> None:
+        """Slow estimates."""
+        voltage = status.battery_voltage_v
+        self.log.record(
+            self._estimates,
+            time_s,
+            hover_thrust,
+            offset_s,
+            round_trip_s,
+            delay_s,
+            math.nan if voltage is None else voltage,
+        )
+
+    def truth(self, message: Message, adapter: Adapter, status: VehicleStatus, now_s: float) -> None:
+        """The simulator's true state (HIL_STATE_QUATERNION or SIM_STATE), in the local frame."""
+        if message.get_msgId() != adapter.truth_message_id or status.global_origin is None:
+            return
+        self.truth_seen += 1
+        if message.get_msgId() == mav.MAVLINK_MSG_ID_HIL_STATE_QUATERNION:
+            time_s = message.time_usec * 1e-6
+            place = (message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3)
+            velocity_ned = np.array([message.vx, message.vy, message.vz]) * 1e-2
+            quaternion = message.attitude_quaternion
+            rates = (message.rollspeed, message.pitchspeed, message.yawspeed)
+        else:
+            time_s = now_s  # SIM_STATE has no time stamp
+            place = (_finer(message.lat_int, message.lat), _finer(message.lon_int, message.lon), message.alt)
+            velocity_ned = np.array([message.vn, message.ve, message.vd])
+            quaternion = (message.q1, message.q2, message.q3, message.q4)
+            rates = (message.xgyro, message.ygyro, message.zgyro)
+        self.log.record(
+            self._truth,
+            time_s,
+            enu_from_global(*place, status.global_origin),
+            enu_from_ned(velocity_ned),
+            quaternion_enu_flu_from_ned_frd(quaternion),
+            flu_from_frd(rates),
+        )
+
+
+def _finer(integer: int, single: float) -> float:
+    """SIM_STATE's position as integer 1e-7 degree where it is filled in; its float has 1 m of resolution only."""
+    return integer * 1e-7 if integer else single

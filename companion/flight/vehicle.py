@@ -1,0 +1,182 @@
+"""The vehicle as the flight sees it: one link, one adapter, and waiting for things without missing any message.
+
+Everything happens in the caller's thread, message by message, in the order of arrival. Waiting is measured on
+the autopilot's clock while it speaks, so that a simulation may run at any speed; only silence is measured on ours.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable
+
+from companion.autopilot.adapter import Adapter, VehicleStatus
+from companion.autopilot.registry import adapter_for
+from companion.config.errors import UserError
+from companion.control.structs import VehicleState
+from companion.flight.outcome import LinkLost, WaitedTooLong
+from companion.mavlink.link import Link, Message, mav
+from companion.mavlink.protocol import (
+    RESULT_WORDS,
+    Command,
+    CommandClient,
+    ParameterClient,
+    message_interval,
+    request_message,
+)
+from companion.mavlink.state import StateAssembler
+
+POLL_S = 0.05
+ACK_TIMEOUT_S = 1.0
+TRIES = 4
+
+
+class Vehicle:
+    """See the module. `on_state` is called with every new state, `on_message` with every message before that."""
+
+    def __init__(self, link: Link, silence_limit_s: float) -> None:
+        self.link = link
+        self.adapter: Adapter
+        self.status = VehicleStatus()
+        self.state: VehicleState | None = None
+        self.assembler = StateAssembler()
+        self.commands = CommandClient(link)
+        self.parameters = ParameterClient(link)
+        self.version = (0, 0, 0)
+        self.silence_limit_s = silence_limit_s
+        self.on_state: Callable[[VehicleState], None] = lambda _: None
+        self.on_message: Callable[[Message], None] = lambda _: None
+        self.watch: Callable[[], None] = lambda: None
+        self._waiting: deque[Message] = deque()
+
+    # Waiting ----------------------------------------------------------------------------------------
+
+    def until(self, condition: Callable[[], bool], timeout_s: float = math.inf, what: str = "") -> None:
+        """Handle messages until `condition()` holds.
+
+        Raises:
+            WaitedTooLong: after `timeout_s` of the autopilot's time.
+            LinkLost: after `silence_limit_s` without a message (our clock).
+            FlightEnd: whatever `watch` or `on_state` raise.
+        """
+        started_s = self.link.autopilot_time_s
+        while not condition():
+            self.watch()
+            if not self._waiting:
+                self._waiting.extend(self.link.receive(POLL_S))
+                if not self._waiting:
+                    self.link.keep_alive()
+                    if self.link.silence_s > self.silence_limit_s:
+                        raise LinkLost(f"nothing heard from the autopilot for {self.silence_limit_s:.1f} s")
+                    continue
+            self._handle(self._waiting.popleft())
+            if self.link.autopilot_time_s - started_s > timeout_s:
+                raise WaitedTooLong(f"{what or 'the autopilot'}: nothing after {timeout_s:.0f} s")
+
+    def _handle(self, message: Message) -> None:
+        if message.get_msgId() == mav.MAVLINK_MSG_ID_TIMESYNC:
+            self.link.keep_alive()
+            self.link.answer_timesync(message)
+            return
+        self.status.take(message)
+        self.commands.take(message)
+        self.parameters.take(message)
+        self.on_message(message)
+        state = self.assembler.take(message)
+        if state is not None:
+            self.state = state
+            self.on_state(state)
+
+    # Getting to know it -----------------------------------------------------------------------------
+
+    def connect(self, timeout_s: float) -> None:
+        """Wait for an autopilot's HEARTBEAT, choose its adapter, ask what it is (AUTOPILOT_VERSION).
+
+        Raises:
+            UserError: nobody there, not an autopilot we know, not a multirotor.
+        """
+        deadline = time.monotonic() + timeout_s
+        while self.link.heartbeat is None:
+            self.watch()
+            self.link.keep_alive()
+            self._waiting.extend(self.link.receive(POLL_S))
+            if time.monotonic() > deadline and self.link.heartbeat is None:
+                raise UserError(self._why_nobody(timeout_s))
+        heartbeat = self.link.heartbeat
+        self.adapter = adapter_for(heartbeat.autopilot, heartbeat.type)
+        self.parameters.bytewise = self.adapter.bytewise_parameters
+        answered: list[Message] = []
+
+        def note(message: Message) -> None:
+            if message.get_msgId() == mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
+                answered.append(message)
+
+        before, self.on_message = self.on_message, note
+        for _ in range(TRIES):
+            self.commands.send(request_message(mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION))
+            try:
+                self.until(lambda: bool(answered), ACK_TIMEOUT_S)
+                break
+            except WaitedTooLong:
+                continue
+        self.on_message = before
+        if answered:
+            number = answered[0].flight_sw_version
+            self.version = (number >> 24 & 0xFF, number >> 16 & 0xFF, number >> 8 & 0xFF)
+
+    def _why_nobody(self, timeout_s: float) -> str:
+        counters = self.link.counters
+        if counters["bad frames"] or counters["stray bytes"]:
+            heard = "bytes arrived, but no valid MAVLink: wrong baud rate, or another program's port?"
+        elif counters["other senders"]:
+            heard = "MAVLink arrived, but no autopilot (component 1): is this a ground station's or a gimbal's port?"
+        else:
+            heard = (
+                "nothing arrived: is the autopilot on, and does it send to this address? "
+                "PX4's companion link is UDP 14540, ArduPilot's SITL TCP 5760"
+            )
+        return f"no autopilot within {timeout_s:.0f} s; {heard}"
+
+    def command(self, command: Command) -> int | None:
+        """Send a command until it is answered; return the MAV_RESULT, None when nobody answers."""
+        for attempt in range(TRIES):
+            self.commands.send(command, again=attempt > 0)
+            try:
+                self.until(lambda: self.commands.result is not None, ACK_TIMEOUT_S)
+            except WaitedTooLong:
+                continue
+            return self.commands.result
+        return None
+
+    def result_word(self, result: int | None) -> str:
+        """A MAV_RESULT in words."""
+        return "not answered" if result is None else RESULT_WORDS.get(result, f"result {result}")
+
+    def read_parameters(self, names: tuple[str, ...]) -> None:
+        """Read parameters into `parameters.values`; those the autopilot does not know stay absent."""
+        for _ in range(3):
+            missing = [name for name in names if name not in self.parameters.values]
+            if not missing:
+                return
+            for name in missing:
+                self.parameters.request(name)
+            try:
+                self.until(lambda: all(name in self.parameters.values for name in names), 1.0)
+            except WaitedTooLong:
+                continue
+
+    def set_parameter(self, name: str, value: float) -> bool:
+        """Set a parameter that was read before; True when the autopilot echoed the new value."""
+        for _ in range(3):
+            self.parameters.set(name, value)
+            try:
+                self.until(lambda: math.isclose(self.parameters.values[name], value, rel_tol=1e-6), 1.0)
+            except WaitedTooLong:
+                continue
+            return True
+        return False
+
+    def ask_for_stream(self, message_id: int, rate_hz: float) -> bool:
+        """Ask for a message at `rate_hz`; False when it is refused or not answered."""
+        return self.command(message_interval(message_id, rate_hz)) == mav.MAV_RESULT_ACCEPTED
