@@ -1,0 +1,103 @@
+"""A trajectory sampled in a file, interpolated so that a drone can fly it.
+
+Columns: `t, x, y, z` in s and m, increasing in t; optionally `yaw` (rad) or `yaw_deg`; optionally all of
+`vx, vy, vz` (m/s), which are then met exactly; optionally `yaw_rate` (rad/s). The curve goes through every
+row with the least integral of squared snap, continuous through the 6th derivative (the 5th where
+velocities are given).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from companion.config.errors import UserError
+from companion.reference.spline import Spline, minimum_snap_derivatives, spline_through
+from companion.reference.table_file import Table, read_table
+
+LEAST_ROWS = 5  # fewer leave a 7th-order curve undetermined, and are waypoints rather than samples
+_ALIASES = {
+    "t": "t",
+    "time_s": "t",
+    "x": "x",
+    "x_m": "x",
+    "y": "y",
+    "y_m": "y",
+    "z": "z",
+    "z_m": "z",
+    "yaw": "yaw",
+    "yaw_rad": "yaw",
+    "yaw_deg": "yaw_deg",
+    "vx": "vx",
+    "vy": "vy",
+    "vz": "vz",
+    "yaw_rate": "yaw_rate",
+}
+_VELOCITY = ("vx", "vy", "vz")
+
+
+def csv_trajectory(path: Path, speed: float = 1.0) -> Spline:
+    """Read a sampled trajectory; time runs from the first row. `speed` flies it that much faster.
+
+    Raises UserError with file and line for anything wrong in the file.
+    """
+    if not speed > 0.0:
+        raise UserError(f"{path}: speed is {speed:g}; it has to be above 0")
+    table = read_table(path, _ALIASES, required=("t", "x", "y", "z"))
+    times = table.columns["t"]
+    if times.size < LEAST_ROWS:
+        raise UserError(
+            f"{path}: {times.size} rows; a sampled trajectory needs at least {LEAST_ROWS}. "
+            "For a few points use a waypoint file (waypoints:FILE)"
+        )
+    check_times_increase(table)
+    n = times.size
+    values = np.zeros((n, 4, 4))
+    values[:, 0, :3] = table.stacked(("x", "y", "z"))
+    values[:, 0, 3] = yaw_column(table)
+    fixed_position = np.zeros((n, 4), dtype=np.bool_)
+    fixed_position[:, 0] = True
+    fixed_yaw = fixed_position.copy()
+    given = [name for name in _VELOCITY if name in table.columns]
+    if given:
+        if len(given) < 3:
+            missing = ", ".join(name for name in _VELOCITY if name not in given)
+            raise UserError(f"{path}: velocity needs all of vx, vy, vz; missing: {missing}")
+        values[:, 1, :3] = table.stacked(_VELOCITY) * speed
+        fixed_position[:, 1] = True
+    if "yaw_rate" in table.columns:
+        values[:, 1, 3] = table.columns["yaw_rate"] * speed
+        fixed_yaw[:, 1] = True
+    times = (times - times[0]) / speed
+    try:
+        motion = minimum_snap_derivatives(times, values[:, :, :3], fixed_position)
+        turning = minimum_snap_derivatives(times, values[:, :, 3:], fixed_yaw)
+    except np.linalg.LinAlgError:
+        motion = turning = np.full((n, 4, 1), np.nan)
+    if not (np.isfinite(motion).all() and np.isfinite(turning).all()):
+        raise UserError(f"{path}: time steps differ too much to draw a smooth curve; sample it evenly")
+    return spline_through(times, np.concatenate([motion, turning], axis=2))
+
+
+def check_times_increase(table: Table) -> None:
+    """Raise UserError naming the first row whose time is not above the one before."""
+    times = table.columns["t"]
+    late = np.flatnonzero(np.diff(times) <= 0.0)
+    if late.size:
+        row = int(late[0]) + 1
+        raise UserError(
+            f"{table.place(row)}: time {times[row]:g} s does not come after {times[row - 1]:g} s "
+            "of the row before; sort the rows and drop repeated ones"
+        )
+
+
+def yaw_column(table: Table) -> np.ndarray:
+    """(n,) yaw in rad, continuous (the short way from row to row); zeros where the table has none."""
+    if "yaw" in table.columns and "yaw_deg" in table.columns:
+        raise UserError(f"{table.path}: has both yaw and yaw_deg; keep one")
+    if "yaw_deg" in table.columns:
+        return np.unwrap(np.radians(table.columns["yaw_deg"]))
+    if "yaw" in table.columns:
+        return np.unwrap(table.columns["yaw"])
+    return np.zeros(len(table.lines))
