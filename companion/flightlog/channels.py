@@ -210,8 +210,8 @@ ESTIMATES = ChannelSpec(
 
 
 def terms_channel(layout: Iterable[tuple[str, int, str]], topic: str = "/terms") -> ChannelSpec:
-    """Return the channel for packed terms, from their layout of (name, width, unit)."""
-    return ChannelSpec(topic, tuple(FieldSpec(name, width, unit) for name, width, unit in layout))
+    """Return the channel for packed terms, from their layout of (name, width, unit); names as `packed_channel`."""
+    return ChannelSpec(topic, tuple(FieldSpec(_label(name), width, unit) for name, width, unit in layout))
 
 
 def packed_channel(
@@ -233,7 +233,7 @@ def packed_channel(
 def _flatten(dtype: np.dtype[np.void], prefix: str, units: Mapping[str, str], into: list[FieldSpec]) -> None:
     for name in dtype.names or ():
         inner = dtype[name]
-        label = re.sub("_+", "_", f"{prefix}{name}".lower())
+        label = _label(prefix + name)
         if inner.names:
             _flatten(inner, f"{label}_", units, into)
             continue
@@ -244,6 +244,11 @@ def _flatten(dtype: np.dtype[np.void], prefix: str, units: Mapping[str, str], in
                 label, width, units.get(label, ""), "", shape if len(shape) > 1 else (), inner.base.name
             )
         )
+
+
+def _label(name: str) -> str:
+    """Return a name as ROS 2 allows it: lower case, single underscores for dots and the like."""
+    return re.sub("[^a-z0-9]+", "_", name.lower()).strip("_")
 
 
 def weights_channel(loop: str, neurons: int) -> ChannelSpec:

@@ -1,0 +1,148 @@
+"""One flight in numbers: RMS, maximum and 95 % of every error, and what the flight was."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.analysis.published import PUBLISHED_RMS
+from companion.analysis.tracking import Tracking, tracking_errors
+from companion.flightlog.reader import FlightRecord
+
+STATISTICS = ("rms", "max", "p95")
+Triple = tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class FlightMetrics:
+    """What one flight reached. `values[statistic][error]` is [x, y, z], or [ψ] for the yaw."""
+
+    log: str
+    controller: str
+    level: str
+    firmware: str
+    trajectory: str
+    mass_ratio: float | None
+    seed: int | None
+    ended: str
+    cut: str
+    window_s: tuple[float, float] | None
+    samples: dict[str, int]  # by source
+    values: dict[str, dict[str, Triple]]
+    notes: list[str]
+
+    def get(self, statistic: str, error: str) -> Triple | None:
+        """Return one triple, or None where the log does not give it."""
+        return self.values.get(statistic, {}).get(error)
+
+    @property
+    def judged_by(self) -> str:
+        """`truth` where the log has it, else `estimate`."""
+        return "truth" if "truth" in self.samples else "estimate"
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what `companion analyze --json` prints; numbers that are not known are null."""
+        out: dict[str, Any] = {
+            name: {key: _plain(item) for key, item in self.values.get(name, {}).items()}
+            for name in STATISTICS
+        }
+        for name in STATISTICS:
+            for error in ("position_truth_m", "position_estimate_m", "attitude_deg", "yaw_deg"):
+                out[name].setdefault(error, None)
+        return out | {
+            "window_s": None if self.window_s is None else list(self.window_s),
+            "controller": self.controller,
+            "level": self.level,
+            "firmware": self.firmware,
+            "trajectory": self.trajectory,
+            "mass_ratio": self.mass_ratio,
+            "seed": self.seed,
+            "ended": self.ended,
+            "judged_by": self.judged_by if self.samples else None,
+            "samples": self.samples,
+            "published_rms": PUBLISHED_RMS.get(self.controller),
+            "log": self.log,
+            "cut": self.cut or None,
+            "notes": self.notes,
+        }
+
+
+def flight_metrics(
+    record: FlightRecord, from_s: float | None = None, to_s: float | None = None
+) -> tuple[FlightMetrics, Tracking | None]:
+    """Return a flight's metrics and the errors they come from. Raises UserError for a window outside the tracking."""
+    tracking = tracking_errors(record, from_s, to_s)
+    values: dict[str, dict[str, Triple]] = {name: {} for name in STATISTICS}
+    notes = ["this flight never tracked a trajectory"] if tracking is None else list(tracking.notes)
+    if tracking is None and record.cut:
+        notes.append(f"the log was cut ({record.cut}); its last record is at {record.end_time_s:.2f} s")
+    for source, series in (tracking.series if tracking else {}).items():
+        columns = {
+            f"position_{source}_m": series.position_m,
+            f"attitude_{source}_deg": np.degrees(series.attitude_rad),
+            f"yaw_{source}_deg": np.degrees(series.yaw_rad)[:, None],
+        }
+        for name, column in columns.items():
+            for statistic, numbers in _statistics(column).items():
+                values[statistic][name] = numbers
+    sources = tracking.series if tracking else {}
+    best = "truth" if "truth" in sources else "estimate"
+    for statistic in STATISTICS:
+        for angle in ("attitude", "yaw"):
+            if (numbers := values[statistic].get(f"{angle}_{best}_deg")) is not None:
+                values[statistic][f"{angle}_deg"] = numbers
+    facts = record.flight
+    metrics = FlightMetrics(
+        log=str(record.path),
+        controller=facts.get("controller", "unknown"),
+        level=facts.get("level", "unknown"),
+        firmware=facts.get("firmware", "unknown"),
+        trajectory=facts.get("trajectory", "unknown"),
+        mass_ratio=_number(facts.get("mass_ratio")),
+        seed=None if (seed := _number(facts.get("seed"))) is None else int(seed),
+        ended=how_it_ended(record),
+        cut=record.cut,
+        window_s=tracking.window_s if tracking else None,
+        samples={source: len(series.tracking_time_s) for source, series in sources.items()},
+        values=values,
+        notes=notes,
+    )
+    return metrics, tracking
+
+
+def how_it_ended(record: FlightRecord) -> str:
+    """Return the outcome the flight logged last, or what its absence means."""
+    ends = record.events_of("ended")
+    if ends:
+        fields = ends[-1].fields
+        return str(fields.get("outcome") or fields.get("text") or fields.get("reason") or "unknown")
+    return "log cut" if record.cut else "unknown"
+
+
+def _statistics(column: NDArray[np.float64]) -> dict[str, Triple]:
+    """Return RMS, maximum and 95 % of the size of each column (n, k), NaN rows left out."""
+    good = column[np.isfinite(column).all(axis=1)]
+    if not len(good):
+        return {}
+    size = np.abs(good)
+    return {
+        "rms": tuple(np.sqrt(np.mean(good**2, axis=0)).tolist()),
+        "max": tuple(size.max(axis=0).tolist()),
+        "p95": tuple(np.percentile(size, 95.0, axis=0).tolist()),
+    }
+
+
+def _number(text: str | None) -> float | None:
+    try:
+        value = float(text) if text is not None else math.nan
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+
+def _plain(numbers: Triple) -> list[float | None]:
+    return [value if math.isfinite(value) else None for value in numbers]
