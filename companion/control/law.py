@@ -13,23 +13,60 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from companion.control.packing import Memory
+from companion.control.bounds import NOT_FINITE, TOO_TILTED
+from companion.control.flatness import force_from_euler
+from companion.control.packing import INPUT, TERMS, Memory, Terms, memory_dtype
+from companion.control.rotation import euler_from_quaternion, wrap_angle
 from companion.control.structs import (
     AdaptationGate,
     ControlLevel,
+    Record,
     Reference,
+    Setpoint,
     StepResult,
     Vector,
     VehicleState,
 )
 
-StepKernel = Callable[[np.void, np.void, np.void, np.void, np.void], None]
+StepKernel = Callable[[Record, Record, Record, Record, Record], None]
 """`step(parameters, memory, inputs, memory_out, terms_out)`, compiled; see `packing.py` for the records."""
+
+_INPUT_SIZE = INPUT.itemsize // 8
+
+
+class StepRefused(ArithmeticError):  # noqa: N818 - what happened, not a mistake
+    """No law may answer this state with a setpoint; the message says why. Hand the vehicle back."""
+
+
+def pack_input(state: VehicleState, reference: Reference, dt_s: float, gate: AdaptationGate) -> Vector:
+    """All that a step depends on beside the memory, as float64 (n,) in the layout `packing.INPUT`."""
+    return np.concatenate(
+        (
+            state.position_enu,
+            state.velocity_enu,
+            state.quaternion_wxyz,
+            state.body_rate_flu,
+            reference.position_enu,
+            reference.velocity_enu,
+            reference.acceleration_enu,
+            reference.jerk_enu,
+            reference.snap_enu,
+            (
+                reference.yaw_rad,
+                reference.yaw_rate_rad_s,
+                reference.yaw_acceleration_rad_s2,
+                dt_s,
+                float(gate),
+            ),
+        ),
+        dtype=np.float64,
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,27 +77,50 @@ class ControlLaw:
     level: ControlLevel
     seed: int  # draws both input matrices V
     hidden: int  # L, neurons per network
-    parameters: np.void  # of parameters_dtype(L), read-only
+    parameters: Record  # of parameters_dtype(L)
     kernel: StepKernel
     warnings: tuple[str, ...]  # broken conditions of Propositions 1 and 2, both sides in numbers
 
     def initial_memory(self) -> Memory:
         """Zero integrals and weights; filters start at the first step's values."""
-        raise NotImplementedError
+        return Memory(np.zeros(1, memory_dtype(self.hidden))[0])
 
     def warm_up(self) -> None:
-        """Compile (or load from the cache) everything a step needs. Seconds the first time; call before arming."""
-        raise NotImplementedError
+        """Compile (or load from the cache) all that a step needs: seconds the first time. Call before arming."""
+        still = np.zeros(3)
+        level = np.array([1.0, 0.0, 0.0, 0.0])
+        state = VehicleState(0.0, still, still, level, still)
+        reference = Reference(still, still, still, still, still, 0.0, 0.0, 0.0)
+        memory = self.take_over(self.initial_memory(), state, reference, 1.0, level)
+        self.step(memory, state, reference, 0.01, AdaptationGate.RUN)
 
     def step(
         self, memory: Memory, state: VehicleState, reference: Reference, dt_s: float, gate: AdaptationGate
     ) -> StepResult:
-        """One control step over `dt_s` seconds since the last. Pure; does not change `memory`.
+        """One control step over the `dt_s` seconds since the last. Pure; does not change `memory`.
 
-        Raises FloatingPointError when state, reference or dt_s are not finite or the state is too near the
-        Euler singularity: no law may answer that with a setpoint.
+        Raises StepRefused when state, reference or dt_s are not finite, dt_s is negative, the quaternion is not of
+        unit length, or the vehicle is tilted beyond `limits.tilt_abort_deg`.
         """
-        raise NotImplementedError
+        return self.step_packed(memory, pack_input(state, reference, dt_s, gate))
+
+    def step_packed(self, memory: Memory, inputs: Vector) -> StepResult:
+        """`step` on inputs as `pack_input` made them and the log holds them: replay gives the same bits."""
+        record = inputs.view(INPUT)[0]
+        following = np.empty(1, memory_dtype(self.hidden))[0]
+        terms = np.zeros(1, TERMS)[0]
+        self.kernel(self.parameters, memory.values, record, following, terms)
+        flags = int(terms["flags"])
+        if flags & (NOT_FINITE | TOO_TILTED):
+            raise StepRefused(self._refusal(flags, terms))
+        setpoint = Setpoint(
+            self.level,
+            float(terms["thrust"]),
+            terms["quaternion"],
+            terms["body_rate"],
+            terms["torque"],
+        )
+        return StepResult(Memory(following), setpoint, Terms(terms))
 
     def take_over(
         self,
@@ -70,5 +130,41 @@ class ControlLaw:
         thrust_newton: float,
         quaternion: Vector,
     ) -> Memory:
-        """Memory from which the next step continues the command (thrust_newton, quaternion (4,) wxyz)."""
-        raise NotImplementedError
+        """Memory from which the next step continues the command (thrust_newton, attitude (4,) wxyz body to world).
+
+        What the law would do otherwise is made up by an added force and yaw, which fade. The vertical part goes
+        into the integral where the law has one: it is weight that m̂ does not know of, and stays. Raises
+        StepRefused as `step` does.
+        """
+        fresh = memory.values.copy()
+        for name in ("hand_over_force", "filter_angle", "filter_rate", "feedback_rate", "wrench"):
+            fresh[name] = 0.0
+        fresh["hand_over_yaw"] = fresh["started"] = 0.0
+        terms = self.step(Memory(fresh), state, reference, 0.0, AdaptationGate.FREEZE).terms.values
+        given = euler_from_quaternion(np.asarray(quaternion, dtype=np.float64))
+        p = self.parameters
+        led = np.zeros(3)
+        if self.level is ControlLevel.ATTITUDE:
+            led = p.attitude_lead * terms.flat_euler_rate + p.attitude_lead_2 * terms.flat_euler_acceleration
+        feedback_lead = terms.feedback_lead_force if self.level is ControlLevel.ATTITUDE else np.zeros(3)
+        fresh["hand_over_yaw"] = wrap_angle(given[2] - led[2] - reference.yaw_rad)
+        force_z = thrust_newton * math.cos(terms.euler[0]) * math.cos(terms.euler[1])
+        wanted = force_from_euler(given - led, max(force_z, float(p.force_z_min)))
+        missing = wanted - feedback_lead - terms.position.total
+        K_i = float(p.position.K_i[2])
+        if K_i > 0.0:
+            others = float(np.hypot(*(p.position.K_i[:2] * fresh["position_integral"][:2])))
+            room = math.sqrt(max(0.0, float(p.position.integral_bound) ** 2 - others**2))
+            held = K_i * fresh["position_integral"][2]
+            moved = min(room, max(-room, held + missing[2])) - held
+            fresh["position_integral"][2] += moved / K_i
+            missing[2] -= moved
+        fresh["hand_over_force"] = missing
+        return Memory(fresh)
+
+    def _refusal(self, flags: int, terms: Record) -> str:
+        if flags & NOT_FINITE:
+            return "the state, the reference or the time step is not a finite, sensible number"
+        roll, pitch = math.degrees(terms.euler[0]), math.degrees(terms.euler[1])
+        limit = math.degrees(self.parameters.tilt_abort)
+        return f"the vehicle is tilted beyond limits.tilt_abort_deg = {limit:.0f}: roll {roll:.0f}°, pitch {pitch:.0f}°"

@@ -12,8 +12,8 @@ and as the layout in the log: `dtype.names` says what is in it.
 | `TERMS` | every term of the law, the output among them | every step |
 
 Units are SI, frames ENU/FLU, angles rad. The position loop and the attitude loop are the same
-mathematics, so they share `LOOP_GAINS` and `LOOP_TERMS`: U, Ũ, ξ, γ in m/s and N on one side, in rad/s and N·m on
-the other.
+mathematics, so they share `LOOP_GAINS` and `LOOP_TERMS`: in m, m/s and N on one side, in rad, rad/s
+and N·m on the other.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.control.structs import Vector
+from companion.control.structs import Record, Vector
 
 FEATURES = 10
 """Length of both networks' inputs γ: 1 + three 3-vectors. Eqs. (11), (26)."""
@@ -44,6 +44,57 @@ LOOP_GAINS = np.dtype(
         ],
     )
 )
+
+MAX_ROTORS = 8
+
+
+@functools.cache
+def parameters_dtype(hidden: int) -> np.dtype[np.void]:
+    """Layout of what a law is built with, for networks with `hidden` neurons."""
+    return np.dtype(
+        (
+            np.record,
+            [
+                ("position", LOOP_GAINS),
+                ("attitude", LOOP_GAINS),
+                ("position_V", "f8", (FEATURES, hidden)),  # input matrix of the position network
+                ("attitude_V", "f8", (FEATURES, hidden)),  # input matrix of the attitude network
+                ("level", "i8"),  # 0 attitude, 1 body rate, 2 actuator
+                ("gravity", "f8"),  # m/s²
+                ("mass_estimate", "f8"),  # m̂, kg
+                ("inertia", "f8", (3,)),  # diagonal of I, kg·m²
+                ("drag", "f8", (3,)),  # diagonal of D_p, kg/s
+                ("rotational_drag", "f8", (3,)),  # diagonal of D_η, kg·m²/s
+                ("rotor_count", "i8"),
+                ("allocation", "f8", (4, MAX_ROTORS)),  # B: rotor thrusts to [F, τ]
+                ("mixer", "f8", (MAX_ROTORS, 4)),  # its pseudo-inverse
+                ("rotor_thrust_min", "f8"),  # N, each rotor
+                ("rotor_thrust_max", "f8"),  # N, each rotor
+                ("thrust_min", "f8"),  # bounds on F, N
+                ("thrust_max", "f8"),
+                ("force_z_min", "f8"),  # floor under f_z, N; keeps (17), (18) defined
+                ("tilt_max", "f8"),  # bound on the desired tilt, rad
+                ("tilt_abort", "f8"),  # a vehicle tilted further is refused, rad
+                ("body_rate_max", "f8", (3,)),  # rad/s
+                ("filter_frequency", "f8"),  # command filter on η_d, rad/s
+                ("filter_damping", "f8"),
+                ("attitude_lead", "f8", (3,)),  # s, on η̇ of the flat attitude, added to the attitude setpoint
+                ("attitude_lead_2", "f8", (3,)),  # s², on its η̈
+                ("feedback_lead", "f8"),  # s, on the derivative of the feedback force, attitude level
+                ("feedback_lead_filter", "f8"),  # s, time constant of that derivative's low-pass
+                ("rate_lead", "f8", (3,)),  # s, on the desired angular acceleration, body-rate level
+                (
+                    "rotor_lead",
+                    "f8",
+                ),  # s, on thrust and torque: the rotors' own lag, or the share of it made up for
+                ("rotor_lead_filter", "f8"),  # s, low-pass of that lead
+                ("model_in_feedback", "f8"),  # 1 where the model term holds U̇_p and with it K_p ė_p
+                ("hand_over_time", "f8"),  # s, time constant with which a hand-over fades
+                ("beta", "f8", (2,)),  # β_p, β_η of the Lyapunov functions (20), (32)
+            ],
+        )
+    )
+
 
 LOOP_TERMS = np.dtype(
     (
@@ -80,13 +131,22 @@ TERMS = np.dtype(
             ("euler_desired", "f8", (3,)),  # η_d = [φ_d, θ_d, ψ_d] of Eqs. (17), (18), rad
             ("euler_rate_desired", "f8", (3,)),  # η̇_d: flatness + command filter, rad/s
             ("euler_acceleration_desired", "f8", (3,)),  # η̈_d, rad/s²
-            ("lead_force", "f8", (3,)),  # what the lead adds to f for the attitude setpoint, N
-            ("thrust", "f8"),  # F after bounds, N
-            ("quaternion", "f8", (4,)),  # desired attitude with lead, body to world
+            ("flat_euler", "f8", (3,)),  # the reference's own attitude (differential flatness), rad
+            ("flat_euler_rate", "f8", (3,)),  # and its rate, rad/s
+            ("flat_euler_acceleration", "f8", (3,)),  # and its acceleration, rad/s²
+            (
+                "feedback_lead_force",
+                "f8",
+                (3,),
+            ),  # lead on the feedback, added to f for the attitude setpoint, N
+            ("euler_setpoint", "f8", (3,)),  # η_d with lead: what is sent at the attitude level, rad
+            ("thrust_wanted", "f8"),  # F of Eq. (16), N
+            ("thrust", "f8"),  # F with rotor lead, after bounds, N
+            ("quaternion", "f8", (4,)),  # `euler_setpoint` as a quaternion, body to world
             ("body_rate", "f8", (3,)),  # desired body rate with lead, FLU, rad/s
             ("torque_wanted", "f8", (3,)),  # τ of Eq. (27), N·m
-            ("torque", "f8", (3,)),  # τ that the rotors can give with this thrust, N·m
-            ("rotor_thrust", "f8", (8,)),  # allocation, N; unused entries are 0
+            ("torque", "f8", (3,)),  # τ with rotor lead, as the rotors can give it with this thrust, N·m
+            ("rotor_thrust", "f8", (MAX_ROTORS,)),  # allocation, N; unused entries are 0
             ("flags", "i8"),  # bits of `Bound`
         ],
     )
@@ -109,7 +169,7 @@ INPUT = np.dtype(
             ("reference_yaw_rate", "f8"),
             ("reference_yaw_acceleration", "f8"),
             ("dt", "f8"),
-            ("gate", "f8"),  # an `AdaptationGate`
+            ("gate", "f8"),  # an `AdaptationGate`, as a number
         ],
     )
 )
@@ -129,6 +189,7 @@ def memory_dtype(hidden: int) -> np.dtype[np.void]:
                 ("filter_angle", "f8", (3,)),  # command filter on η_d less its flat part, rad
                 ("filter_rate", "f8", (3,)),  # and its rate, rad/s
                 ("feedback_rate", "f8", (3,)),  # filtered derivative of the feedback force, N/s
+                ("wrench", "f8", (4,)),  # low-passed [F, τ] behind the rotor lead, N and N·m
                 ("hand_over_force", "f8", (3,)),  # fading remainder of a hand-over, N
                 ("hand_over_yaw", "f8"),  # fading remainder of a hand-over, rad
                 ("started", "f8"),  # 0 until the first step has set the filters
@@ -141,7 +202,7 @@ def memory_dtype(hidden: int) -> np.dtype[np.void]:
 class Memory:
     """All that a law remembers between steps. A step reads one and returns a new one; nobody writes in it."""
 
-    values: np.void  # of memory_dtype(L)
+    values: Record  # of memory_dtype(L)
 
     @property
     def position_integral(self) -> Vector:
@@ -177,7 +238,7 @@ class Memory:
 class Terms:
     """Every term of the law in one step. Fields by name as in `TERMS`, e.g. `terms.values.position.error`."""
 
-    values: np.void  # of TERMS
+    values: Record  # of TERMS
 
     @property
     def flags(self) -> int:

@@ -1,15 +1,124 @@
-"""Which control laws there are. A new law is one new file and one line here."""
+"""Which control laws there are, and how one is built.
+
+To add a law: write one file beside `dtlannc.py` with a compiled `step(p, m, x, m_next, t)` that goes through the
+shared cascade (see `cascade.py`), and add one line to `LAWS`. It then flies at every level, is logged, replayed, tuned and
+compared like the others. Its gains go into the vehicle's profile under `[controllers.<name>.<level>]`.
+"""
 
 from __future__ import annotations
 
-from companion.config.gains import ControllerGains
+import difflib
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.config.errors import UserError
+from companion.config.gains import ControllerGains, LoopGains
 from companion.config.profile import VehicleProfile
-from companion.control.law import ControlLaw
-from companion.control.structs import ControlLevel
+from companion.control import dtlannc, nnsmc, tlmbc
+from companion.control.allocation import allocation_matrix
+from companion.control.certificates import broken_conditions
+from companion.control.law import ControlLaw, StepKernel
+from companion.control.network import draw_input_weights
+from companion.control.packing import parameters_dtype
+from companion.control.structs import ControlLevel, Record
+
+LEVEL_NUMBER = {ControlLevel.ATTITUDE: 0, ControlLevel.BODY_RATE: 1, ControlLevel.ACTUATOR: 2}
+
+
+@dataclass(frozen=True, slots=True)
+class LawEntry:
+    """One registered law: its kernel, and which of the shared parts it has."""
+
+    kernel: StepKernel
+    title: str
+    has_network: bool  # network with adaptation, and the sign term
+    has_integral: bool
+    model_in_feedback: bool  # the model term holds U̇_p instead of p̈_d
+
+
+LAWS: dict[str, LawEntry] = {
+    "dtlannc": LawEntry(dtlannc.step, "double two-loop adaptive neural network", True, True, False),
+    "tlmbc": LawEntry(tlmbc.step, "two-loop model-based", False, True, True),
+    "nnsmc": LawEntry(nnsmc.step, "adaptive-network sliding mode", True, False, True),
+}
 
 
 def build_law(
-    name: str, gains: ControllerGains, profile: VehicleProfile, level: ControlLevel, seed: int
+    name: str,
+    gains: ControllerGains,
+    profile: VehicleProfile,
+    level: ControlLevel,
+    seed: int,
+    *,
+    autopilot: str | None = None,
 ) -> ControlLaw:
-    """Build the law `name`. Raises KeyError naming the known laws when there is no such law."""
-    raise NotImplementedError
+    """Bind the law `name` to a vehicle, its gains and an output level.
+
+    `seed` draws the networks' input matrices V; `autopilot` (`px4`, `ardupilot`) chooses the profile's response
+    that the lead makes up for. Raises UserError naming the known laws, or what in the profile does not fit.
+    """
+    if name not in LAWS:
+        close = difflib.get_close_matches(name, LAWS, n=1)
+        hint = f" (did you mean {close[0]!r}?)" if close else ""
+        raise UserError(f"there is no controller {name!r}{hint}; there are {', '.join(LAWS)}")
+    entry = LAWS[name]
+    hidden = gains.hidden_neurons
+    p = np.zeros(1, parameters_dtype(hidden))[0]
+    _fill_loop(p.position, gains.position_loop, entry)
+    _fill_loop(p.attitude, gains.attitude_loop, entry)
+    # two networks, two independent streams of one seed
+    p.position_V = draw_input_weights(2 * seed, hidden, np.array(gains.position_loop.input_scales))
+    p.attitude_V = draw_input_weights(2 * seed + 1, hidden, np.array(gains.attitude_loop.input_scales))
+    p.level = LEVEL_NUMBER[level]
+    p.model_in_feedback = float(entry.model_in_feedback)
+    _fill_vehicle(p, profile)
+    _fill_lead(p, gains, profile, autopilot)
+    warnings: tuple[str, ...] = ()
+    if entry.has_network:
+        warnings = broken_conditions(gains, attitude_loop_flies=level is ControlLevel.ACTUATOR)
+    return ControlLaw(name, level, seed, hidden, p, entry.kernel, warnings)
+
+
+def _fill_loop(g: Record, gains: LoopGains, entry: LawEntry) -> None:
+    g.K_e, g.K_U = gains.K_e, gains.K_U
+    g.K_i = gains.K_i if entry.has_integral else (0.0, 0.0, 0.0)
+    g.alpha = gains.alpha if entry.has_network else 0.0
+    g.N = gains.N if entry.has_network else 0.0
+    g.boundary_width, g.kappa = gains.boundary_width, gains.kappa
+    g.weight_bound, g.integral_bound = gains.weight_bound, gains.integral_bound
+
+
+def _fill_vehicle(p: Record, profile: VehicleProfile) -> None:
+    rotors, limits = profile.rotors, profile.limits
+    count = len(rotors.layout)
+    try:
+        B = allocation_matrix(rotors.arms_m, rotors.spins, rotors.torque_per_newton_m)
+    except ValueError as error:
+        raise UserError(f"profile {profile.name!r}, rotors.layout: {error}") from None
+    p.gravity, p.mass_estimate = profile.gravity_m_s2, profile.mass_estimate_kg
+    p.inertia, p.drag = profile.inertia_kg_m2, profile.drag_kg_s
+    p.rotational_drag = profile.rotational_drag_kg_m2_s
+    p.rotor_count = count
+    p.allocation[:, :count] = B
+    p.mixer[:count, :] = np.linalg.pinv(B)
+    p.rotor_thrust_min, p.rotor_thrust_max = rotors.thrust_min_newton, rotors.thrust_max_newton
+    p.thrust_min = limits.thrust_min_ratio * profile.thrust_available_newton
+    p.thrust_max = limits.thrust_max_ratio * profile.thrust_available_newton
+    p.force_z_min = limits.force_z_min_ratio * profile.mass_estimate_kg * profile.gravity_m_s2
+    p.tilt_max, p.tilt_abort = profile.tilt_max_rad, math.radians(limits.tilt_abort_deg)
+    p.body_rate_max = np.radians(limits.body_rate_max_deg_s)
+
+
+def _fill_lead(p: Record, gains: ControllerGains, profile: VehicleProfile, autopilot: str | None) -> None:
+    lead, response = gains.lead, profile.response(autopilot)
+    axes = (response.tilt, response.tilt, response.yaw)
+    p.attitude_lead = [lead.attitude_scale * axis.lag_s for axis in axes]
+    p.attitude_lead_2 = [lead.attitude_scale * axis.lag_squared_s2 for axis in axes]
+    p.feedback_lead, p.feedback_lead_filter = lead.feedback_s, lead.feedback_filter_s
+    p.rate_lead = [lead.rate_scale * lag for lag in response.rate_lag_s]
+    p.rotor_lead, p.rotor_lead_filter = lead.rotor_scale / profile.rotors.lag_rad_s, lead.rotor_filter_s
+    p.filter_frequency, p.filter_damping = gains.command_filter_rad_s, gains.command_filter_damping
+    p.hand_over_time = gains.hand_over_s
+    p.beta = gains.lyapunov_beta

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from companion.control.packing import Memory, Terms
 
 Vector = NDArray[np.float64]
+
+Record = Any
+"""A NumPy record of `packing.py`: its fields are attributes, which no type checker can see."""
 
 
 class ControlLevel(enum.Enum):
@@ -76,7 +79,7 @@ class Setpoint:
 
 
 class AdaptationGate(enum.IntEnum):
-    """What the law's memory (integrals and network weights) may do in a step. The output is computed either way.
+    """What the law's memory (integrals and network weights) may do in a step; the output comes either way.
 
     The order is from free to bound, so that of several opinions the greatest counts: `max(gates)`.
     """

@@ -1,0 +1,48 @@
+"""DTLANNC: the report's double two-loop adaptive neural network law, Eqs. (2)–(29).
+
+    f = K_U Ũ_p + K_i ξ_p + m̂(p̈_d + g e₃) + Ŵᵀσ_p + α_p sign(Ũ_p)             Eqs. (13), (14)
+    τ = Φᵀ [ K_U Ũ_η + K_i ξ_η + Ŵᵀσ_η + α_η sign(Ũ_η) ]                          Eqs. (27), (28)
+    dŴ/dt = N (σ Ũᵀ − κ ‖Ũ‖ Ŵ)                                                   Eqs. (15), (29)
+
+What the vehicle weighs beyond m̂, drag, wind and the whole rotational dynamics are left to the networks.
+"""
+
+from __future__ import annotations
+
+from companion.control.cascade import attitude_errors, begin, finish, position_errors
+from companion.control.compiled import compiled
+from companion.control.network import output_layer, smooth_sign
+from companion.control.structs import Record, Vector
+
+
+@compiled
+def feedback(g: Record, W: Vector, sigma: Vector, loop: Record) -> None:
+    """K_U Ũ + K_i ξ + Ŵᵀσ + α sign(Ũ) of either loop, each term in its place, added to `loop.total`."""
+    for i in range(3):
+        loop.proportional_term[i] = g.K_U[i] * loop.U_error[i]
+        loop.integral_term[i] = g.K_i[i] * loop.integral[i]
+        loop.network_term[i] = output_layer(W, sigma, i)
+        loop.sign_term[i] = g.alpha * smooth_sign(loop.U_error[i], g.boundary_width)
+        loop.total[i] = (
+            loop.proportional_term[i]
+            + loop.integral_term[i]
+            + loop.model_term[i]
+            + loop.network_term[i]
+            + loop.sign_term[i]
+        )
+
+
+@compiled
+def step(p: Record, m: Record, x: Record, m_next: Record, t: Record) -> None:
+    """One control step; the records are those of `packing.py`."""
+    if not begin(p, m, x, m_next, t):
+        return
+    sigma_p = position_errors(p, m, x, t)
+    for i in range(3):
+        t.position.model_term[i] = p.mass_estimate * x.reference_acceleration[i]
+    t.position.model_term[2] += p.mass_estimate * p.gravity
+    feedback(p.position, m.position_weights, sigma_p, t.position)
+
+    sigma_eta = attitude_errors(p, m, x, m_next, t, sigma_p)
+    feedback(p.attitude, m.attitude_weights, sigma_eta, t.attitude)
+    finish(p, m, x, m_next, t, sigma_p, sigma_eta)
