@@ -158,6 +158,8 @@ def comparison_table(comparison: Comparison) -> Group:
         title=f"RMS against the {comparison.judged_by} (the report's in brackets), P_imp against {BASELINE.upper()}",
         box=SIMPLE_HEAD,
         pad_edge=False,
+        padding=(0, 1),
+        collapse_padding=True,
         title_justify="left",
         title_style="bold",
     )
@@ -166,7 +168,7 @@ def comparison_table(comparison: Comparison) -> Group:
         count = f"\n{len(item.seeds)} flights" if len(item.seeds) > 1 else ""
         table.add_column(item.controller.upper() + count, justify="right", no_wrap=True)
         if item.controller != BASELINE:
-            table.add_column("P_imp", justify="right", no_wrap=True)
+            table.add_column("P_imp %", justify="right", no_wrap=True)
     for key, labels in AXES.items():
         for axis, label in enumerate(labels):
             cells: list[str | Text] = [Text(f"{label} [{UNITS[key]}]")]
@@ -179,6 +181,6 @@ def comparison_table(comparison: Comparison) -> Group:
                 cells.append(text + (f" ({goal[axis]:.4f})" if goal else ""))
                 if item.controller != BASELINE:
                     gain = item.improvement[key][axis]
-                    cells.append("–" if np.isnan(gain) else f"{gain:.2f} %")
+                    cells.append("–" if np.isnan(gain) else f"{gain:.2f}")
             table.add_row(*cells, end_section=axis == 2)
     return Group(table, *(Text(f"note: {note}", style="yellow") for note in comparison.notes))

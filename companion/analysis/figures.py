@@ -24,9 +24,11 @@ Array = NDArray[np.float64]
 WIDTH_INCH = 5.2
 ROW_INCH = 1.25
 MOST_POINTS = 2500  # a line of more is only a bigger file
-WANTED, TRUE, ESTIMATED = "#6b7280", "#1565c0", "#ef8f00"
+WANTED, TRUE, ESTIMATED = "#4b5563", "#1565c0", "#ef8f00"
 AXIS_COLORS = ("#c2185b", "#2e7d32", "#1565c0")  # x, y, z
-CONTROLLER_COLORS = {"tlmbc": "#6b7280", "nnsmc": "#ef8f00", "dtlannc": "#1565c0"}
+CONTROLLER_COLORS = {"tlmbc": "#2e7d32", "nnsmc": "#ef8f00", "dtlannc": "#1565c0"}
+LEAST_SPAN = {"[m]": 0.1, "[cm]": 0.5, "[°]": 1.0, "[°/s]": 5.0, "[N]": 0.5, "[N m]": 0.02}
+"""By unit: less than this is not zoomed into, so that rounding errors do not look like flying."""
 STYLE = {
     "font.size": 9,
     "axes.titlesize": 9,
@@ -37,6 +39,7 @@ STYLE = {
     "grid.color": "#e5e7eb",
     "grid.linewidth": 0.7,
     "lines.linewidth": 1.1,
+    "axes.formatter.useoffset": False,
     "legend.frameon": False,
     "legend.fontsize": 8,
     "svg.hashsalt": "companion",  # the same log gives the same file
@@ -74,11 +77,21 @@ def time_figure(
                 axis.plot(times, values, line.style, color=line.color, label=line.label)
             axis.set_ylabel(label)
             axis.margins(x=0.0)
+            _widen(axis, label)
+        figure.align_ylabels(axes)
         axes[-1].set_xlabel(time_label)
         if len(lines) > 1:
             handles, names = axes[0].get_legend_handles_labels()
             figure.legend(handles, names, loc="outside upper center", ncols=min(4, len(lines)))
     return figure
+
+
+def _widen(axis: Axes, label: str) -> None:
+    least = LEAST_SPAN.get(label[label.find("[") :], 0.0)
+    low, high = axis.get_ylim()
+    if high - low < least:
+        middle = (low + high) / 2
+        axis.set_ylim(middle - least / 2, middle + least / 2)
 
 
 def thin(time_s: Array, values: Array, most: int = MOST_POINTS) -> tuple[Array, Array]:
@@ -141,9 +154,9 @@ def path_figure(record: FlightRecord, tracking: Tracking) -> Figure | None:
             (axes.set_xlim, axes.set_ylim, axes.set_zlim), middle, span, strict=True
         ):
             setter(center - 0.55 * size, center + 0.55 * size)
-        axes.set_box_aspect(span, zoom=0.9)
-        axes.set_xlabel("x east [m]")
-        axes.set_ylabel("y north [m]")
+        axes.set_box_aspect(span, zoom=1.0)
+        axes.set_xlabel("x east [m]", labelpad=6)
+        axes.set_ylabel("y north [m]", labelpad=8)
         axes.set_zlabel("z up [m]")
         axes.locator_params(nbins=5)
         axes.view_init(elev=28, azim=-55)
