@@ -241,8 +241,8 @@ def _excess(durations: Vector, starts: Vector, ends: Vector, limits: TransitLimi
     floor = np.minimum(limits.height_min_m, np.minimum(height[:, 0], height[:, -1]))
     ceiling = np.maximum(limits.height_max_m, np.maximum(height[:, 0], height[:, -1]))
     outside = np.maximum(floor - height.min(axis=1), height.max(axis=1) - ceiling)
-    # Leaving the height limits weighs more than being brisk: 1 cm counts as 10 % over a limit.
-    return np.where(outside > 1e-6, np.maximum(worst, 1.0) + 10.0 * outside, worst)
+    # Leaving the height limits weighs more than being brisk: 1 cm counts as 100 % over a limit.
+    return np.where(outside > 1e-6, np.maximum(worst, 1.0) + 100.0 * outside, worst)
 
 
 def _best(durations: Vector, starts: Vector, ends: Vector, limits: TransitLimits) -> float:
