@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from companion.config.gains import ControllerGains
 from companion.config.model import NotNegative, NotNegative3, Positive, Positive3, SettingsModel
-from companion.control.structs import Vector
+from companion.control.structs import ControlLevel, Vector
 
 Autopilot = Literal["px4", "ardupilot"]
 LevelName = Literal["attitude", "body_rate", "actuator"]
@@ -75,13 +75,23 @@ class AutopilotResponse(SettingsModel):
     """How one autopilot's own loops follow setpoints on this vehicle. `companion identify LOG` finds these."""
 
     dead_time_s: NotNegative
-    """From sending a setpoint to the first motion, s, link included. Made up for by prediction."""
+    """From sending an attitude setpoint to the first motion, s, link included. Made up for by prediction."""
+    rate_dead_time_s: NotNegative = 0.01
+    """The same for a body-rate setpoint, s."""
+    actuator_dead_time_s: NotNegative = 0.0
+    """The same for thrust and torque, s."""
     tilt: SecondOrder
     """Roll and pitch behind an attitude setpoint."""
     yaw: SecondOrder
     """Yaw behind an attitude setpoint."""
     rate_lag_s: tuple[NotNegative, NotNegative, NotNegative]
     """Roll, pitch and yaw rate behind a body-rate setpoint: first-order time constants, s."""
+
+    def dead_time(self, level: ControlLevel) -> float:
+        """Dead time of setpoints at `level`, s."""
+        if level is ControlLevel.ATTITUDE:
+            return self.dead_time_s
+        return self.rate_dead_time_s if level is ControlLevel.BODY_RATE else self.actuator_dead_time_s
 
 
 class Limits(SettingsModel):

@@ -40,7 +40,7 @@ StepKernel = Callable[[Record, Record, Record, Record, Record], None]
 _INPUT_SIZE = INPUT.itemsize // 8
 
 
-class StepRefused(ArithmeticError):  # noqa: N818 - what happened, not a mistake
+class StepRefused(ArithmeticError):
     """No law may answer this state with a setpoint; the message says why. Hand the vehicle back."""
 
 

@@ -1,0 +1,198 @@
+"""The state at the moment a setpoint acts, predicted with the setpoints already sent.
+
+A state message is some milliseconds old (estimator, link), and what is sent now moves the vehicle only after the
+dead time of the autopilot's loop. What happens in between is already decided: by the state, and by setpoints
+under way. The law is given the state, and the reference, of that later moment; of the autopilot's
+response only the lag is left, which the law makes up for by lead.
+
+The model is small: thrust behind the rotors' lag, gravity, and the attitude behind the setpoint as the
+profile's response says. A step is pure and compiled; `Predictor` keeps the setpoints under way.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from companion.config.profile import VehicleProfile
+from companion.control.compiled import compiled
+from companion.control.rotation import (
+    quaternion_from_rotation_vector,
+    quaternion_product,
+    rotation_from_quaternion,
+)
+from companion.control.structs import ControlLevel, Setpoint, Vector, VehicleState
+
+RING = 64
+"""Setpoints remembered: 0.25 s of them at 250 Hz, more than any dead time with a few rotor lags."""
+LONGEST_SUBSTEP_S = 0.004
+TIME, THRUST, QUATERNION, RATE, TORQUE, ROW = 0, 1, 2, 6, 9, 12
+"""Columns of a remembered setpoint: when it acts (s), N, wxyz, rad/s, N·m."""
+
+
+def pack_model(profile: VehicleProfile, level: ControlLevel, autopilot: str | None) -> Vector:
+    """The vehicle's response as (15,): level, g, ω² (3), 2ζω (3), 1/rate lag (3), rotor lag, inertia (3)."""
+    response = profile.response(autopilot)
+    axes = (response.tilt, response.tilt, response.yaw)
+    model = np.zeros(15)
+    model[0] = {ControlLevel.ATTITUDE: 0.0, ControlLevel.BODY_RATE: 1.0, ControlLevel.ACTUATOR: 2.0}[level]
+    model[1] = profile.gravity_m_s2
+    model[2:5] = [axis.natural_frequency_rad_s**2 for axis in axes]
+    model[5:8] = [2.0 * axis.damping * axis.natural_frequency_rad_s for axis in axes]
+    model[8:11] = [1.0 / max(lag, 1e-3) for lag in response.rate_lag_s]
+    model[11] = profile.rotors.lag_rad_s
+    model[12:15] = profile.inertia_kg_m2
+    return model
+
+
+@compiled
+def _angular_acceleration(
+    model: Vector, setpoint: Vector, torque: Vector, quaternion: Vector, rate: Vector
+) -> Vector:
+    """dω/dt (3,) rad/s² in the body frame under a setpoint row, at the level of `model`."""
+    out = np.empty(3)
+    if model[0] == 0.0:
+        conjugate = np.array((quaternion[0], -quaternion[1], -quaternion[2], -quaternion[3]))
+        gap = quaternion_product(conjugate, setpoint[QUATERNION:RATE])
+        side = 2.0 if gap[0] >= 0.0 else -2.0
+        for i in range(3):
+            out[i] = model[2 + i] * side * gap[i + 1] - model[5 + i] * rate[i]
+    elif model[0] == 1.0:
+        for i in range(3):
+            out[i] = model[8 + i] * (setpoint[RATE + i] - rate[i])
+    else:
+        for i in range(3):
+            j, k = (i + 1) % 3, (i + 2) % 3
+            gyroscopic = (model[12 + k] - model[12 + j]) * rate[j] * rate[k]
+            out[i] = (torque[i] - gyroscopic) / model[12 + i]
+    return out
+
+
+@compiled
+def predict(
+    model: Vector, ring: Vector, count: int, mass: float, state: Vector, start: float, end: float
+) -> Vector:
+    """State (13,) = [p, v, q, ω] at `end` from the one at `start`, s, under the setpoints of `ring`.
+
+    `ring` (n, 12) holds `count` rows ordered by the time at which they begin to act; `mass` in kg is the one that
+    turns thrust setpoints into the acceleration they really give.
+    """
+    out = state.copy()
+    position, velocity, quaternion, rate = out[0:3], out[3:6], out[6:10], out[10:13]
+    if count == 0:
+        for i in range(3):
+            position[i] += velocity[i] * (end - start)
+        return out
+    # where the rotors have got to by `start`: the setpoints before it, through the rotors' lag
+    thrust = ring[0, THRUST]
+    torque = ring[0, TORQUE:ROW].copy()
+    now = min(start, ring[0, TIME])
+    row = 0
+    while now < end:
+        while row + 1 < count and ring[row + 1, TIME] <= now + 1e-9:
+            row += 1
+        until = end
+        if now < start - 1e-9:
+            until = start
+        if row + 1 < count:
+            until = min(until, ring[row + 1, TIME])
+        flying = now >= start - 1e-9
+        dt = min(until - now, LONGEST_SUBSTEP_S) if flying else until - now
+        settle = -math.expm1(-model[11] * dt)
+        thrust += settle * (ring[row, THRUST] - thrust)
+        for i in range(3):
+            torque[i] += settle * (ring[row, TORQUE + i] - torque[i])
+        if flying:
+            angular = _angular_acceleration(model, ring[row], torque, quaternion, rate)
+            turn = np.empty(3)
+            for i in range(3):
+                turn[i] = (rate[i] + 0.5 * dt * angular[i]) * dt
+                rate[i] += dt * angular[i]
+            R = rotation_from_quaternion(quaternion)
+            for i in range(3):
+                acceleration = R[i, 2] * thrust / mass - (model[1] if i == 2 else 0.0)
+                position[i] += dt * (velocity[i] + 0.5 * dt * acceleration)
+                velocity[i] += dt * acceleration
+            quaternion[:] = quaternion_product(quaternion, quaternion_from_rotation_vector(turn))
+        now += dt
+    norm = math.sqrt(quaternion[0] ** 2 + quaternion[1] ** 2 + quaternion[2] ** 2 + quaternion[3] ** 2)
+    for i in range(4):
+        quaternion[i] /= norm
+    return out
+
+
+class Predictor:
+    """Remembers the setpoints under way and predicts states to the moment the next one acts.
+
+    The mass that turns thrust setpoints into acceleration is not taken from the profile, of which the law may be
+    told a part only: it is what the thrust sent has been carrying, low-passed over a second.
+    """
+
+    CARRYING_TIME_S = 1.0
+
+    def __init__(self, profile: VehicleProfile, level: ControlLevel, autopilot: str | None = None) -> None:
+        """Read delays and responses for `autopilot` (`px4`, `ardupilot`) from the profile, and compile.
+
+        Seconds the first time on a machine: build it before arming.
+        """
+        self._model = pack_model(profile, level, autopilot)
+        self._dead_s = profile.response(autopilot).dead_time(level)
+        self._estimator_s = profile.estimator_delay_s
+        self._ring = np.zeros((RING, ROW))
+        self._count = 0
+        self._mass = profile.mass_estimate_kg
+        self.link_delay_s = (
+            0.0  # one way to the autopilot, s, as measured; 0 where it is within the dead time
+        )
+
+    @property
+    def delay_s(self) -> float:
+        """From a state's true age to the moment a setpoint sent now acts, s."""
+        return self._estimator_s + self.ahead_s
+
+    @property
+    def ahead_s(self) -> float:
+        """From a state's time stamp to that moment, s: the reference is to be taken this much later."""
+        return self._dead_s + self.link_delay_s
+
+    @property
+    def mass_kg(self) -> float:
+        """What the thrust setpoints have been carrying, kg."""
+        return self._mass
+
+    def sent(self, time_s: float, setpoint: Setpoint) -> None:
+        """Remember a setpoint sent at `time_s` on the autopilot's clock."""
+        acts_s = time_s + self.ahead_s
+        if self._count and acts_s <= self._ring[self._count - 1, TIME]:
+            self._count -= 1  # the clock stood still or stepped back: the newest replaces
+            while self._count and acts_s <= self._ring[self._count - 1, TIME]:
+                self._count -= 1
+        dt = acts_s - self._ring[self._count - 1, TIME] if self._count else 0.0
+        if self._count == RING:
+            self._ring[:-1] = self._ring[1:]
+            self._count -= 1
+        row = self._ring[self._count]
+        row[TIME], row[THRUST] = acts_s, setpoint.thrust_newton
+        row[QUATERNION:RATE], row[RATE:TORQUE] = setpoint.quaternion_wxyz, setpoint.body_rate_flu
+        row[TORQUE:ROW] = setpoint.torque_flu
+        self._count += 1
+        upright = 1.0 - 2.0 * float(row[QUATERNION + 1] ** 2 + row[QUATERNION + 2] ** 2)
+        carried = setpoint.thrust_newton * upright / self._model[1]
+        if carried > 0.3 * self._mass:  # idle on the ground carries nothing
+            self._mass += -math.expm1(-min(dt, 0.1) / self.CARRYING_TIME_S) * (carried - self._mass)
+
+    def predict(self, state: VehicleState) -> VehicleState:
+        """The state at the moment a setpoint sent now acts; its `time_s` says when that is."""
+        if self.delay_s <= 0.0:
+            return state
+        packed = np.concatenate(
+            (state.position_enu, state.velocity_enu, state.quaternion_wxyz, state.body_rate_flu)
+        )
+        start, end = state.time_s - self._estimator_s, state.time_s + self.ahead_s
+        out = predict(self._model, self._ring, self._count, self._mass, packed, start, end)
+        return VehicleState(end, out[0:3], out[3:6], out[6:10], out[10:13])
+
+    def _warm_up(self) -> None:
+        state = np.concatenate((np.zeros(6), [1.0, 0.0, 0.0, 0.0], np.zeros(3)))
+        predict(self._model, self._ring, 0, 1.0, state, 0.0, 0.0)
