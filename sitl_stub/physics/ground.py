@@ -33,10 +33,12 @@ from sitl_stub.physics.vehicle import (
     FloatArray,
 )
 
-SWEEPS = 12  # Gauss–Seidel sweeps: with four feet the normal impulses are settled to 1e-6 after about ten
+MOST_SWEEPS = 200  # of Gauss–Seidel over the contacts, which stops earlier once
+SETTLED_SPEED = 1e-9  # m/s: no impulse of a sweep changes its contact's speed by more than this
 SLOP = 1e-5  # m: a corner this close above the ground counts as touching; one step of fall at 1 kHz
 REST_SPEED = 0.01  # m/s, and
 REST_RATE = 0.05  # rad/s: slower than this on all four feet, the vehicle is taken to have come to rest
+UPRIGHT = 0.95  # cosine of tilt above which it can only be standing on its feet
 REST_GAP = 3e-4  # m: largest height of the highest foot of a vehicle at rest
 
 
@@ -67,7 +69,7 @@ def ground_holds(state: FloatArray, parameters: FloatArray, slope: int) -> bool:
     """
     p = parameters
     w, x, y, z = state[QUATERNION], state[QUATERNION + 1], state[QUATERNION + 2], state[QUATERNION + 3]
-    if 1.0 - 2.0 * (x * x + y * y) < 0.95:
+    if 1.0 - 2.0 * (x * x + y * y) <= UPRIGHT:
         thrust = 0.0
         for i in range(int(p[ROTOR_COUNT])):
             thrust += state[ROTOR_THRUST + i]
@@ -94,6 +96,23 @@ def ground_holds(state: FloatArray, parameters: FloatArray, slope: int) -> bool:
     if abs(centre_x) > half_length or abs(centre_y) > half_width:
         return False
     return bool(abs(yaw_torque) <= limit * min(half_length, half_width))
+
+
+@compiled
+def lay_to_rest(state: FloatArray, parameters: FloatArray, environment: FloatArray) -> None:
+    """Stop the vehicle; if upright, stand it exactly level with its feet exactly on the ground, keeping heading.
+
+    What this moves it by is below `REST_GAP`; without it, rest would keep the last digits of how the landing ended.
+    """
+    for j in range(3):
+        state[VELOCITY + j] = 0.0
+        state[BODY_RATE + j] = 0.0
+    w, x, y, z = state[QUATERNION], state[QUATERNION + 1], state[QUATERNION + 2], state[QUATERNION + 3]
+    if 1.0 - 2.0 * (x * x + y * y) > UPRIGHT:
+        length = math.sqrt(w * w + z * z)
+        state[QUATERNION], state[QUATERNION + 3] = w / length, z / length
+        state[QUATERNION + 1], state[QUATERNION + 2] = 0.0, 0.0
+        state[POSITION + 2] = environment[GROUND_DOWN] - parameters[CONTACT_POINT + 2]
 
 
 @compiled
@@ -139,7 +158,8 @@ def solve_contacts(
             )
             state[IMPACT_SPEED] = max(state[IMPACT_SPEED], closing)
 
-    for _ in range(SWEEPS):
+    for _ in range(MOST_SWEEPS):
+        largest = 0.0
         for c in range(CONTACT_POINTS):
             gap = state[scratch + 4 * c]
             if gap >= SLOP:
@@ -162,8 +182,11 @@ def solve_contacts(
                     new = min(max(old - mass * speed, -room), room)
                 state[scratch + 4 * c + 1 + k] = new
                 push = new - old
+                largest = max(largest, abs(push) / mass)
                 vx, vy, vz = vx + push * per_mass * dx, vy + push * per_mass * dy, vz + push * per_mass * dz
                 ox, oy, oz = ox + push * jx * lx, oy + push * jy * ly, oz + push * jz * lz
+        if largest < SETTLED_SPEED:
+            break
 
     state[VELOCITY] = r00 * vx + r01 * vy + r02 * vz
     state[VELOCITY + 1] = r10 * vx + r11 * vy + r12 * vz
@@ -171,7 +194,7 @@ def solve_contacts(
     state[BODY_RATE], state[BODY_RATE + 1], state[BODY_RATE + 2] = ox, oy, oz
     state[POSITION + 2] += deepest
     state[TOUCHING] = touching
-    upright = r22 > 0.95
+    upright = r22 > UPRIGHT
     still = (
         vx * vx + vy * vy + vz * vz < REST_SPEED * REST_SPEED
         and ox * ox + oy * oy + oz * oz < REST_RATE * REST_RATE

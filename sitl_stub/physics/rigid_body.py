@@ -19,7 +19,7 @@ import numba
 import numpy as np
 
 from sitl_stub.physics.compiled import compiled
-from sitl_stub.physics.ground import ground_holds, solve_contacts, touches
+from sitl_stub.physics.ground import ground_holds, lay_to_rest, solve_contacts, touches
 from sitl_stub.physics.vehicle import (
     ANGULAR_DRAG,
     AT_REST,
@@ -309,9 +309,7 @@ def advance(
                     rigid_slope(state, parameters, environment, 0, THRUST_END)
                     if ground_holds(state, parameters, SLOPE):
                         state[AT_REST] = 1.0
-                        for j in range(3):
-                            state[VELOCITY + j] = 0.0
-                            state[BODY_RATE + j] = 0.0
+                        lay_to_rest(state, parameters, environment)
         feel_acceleration(state, parameters, dt_s)
         drain_battery(state, parameters, dt_s)
 
