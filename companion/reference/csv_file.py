@@ -16,6 +16,7 @@ from companion.config.errors import UserError
 from companion.reference.spline import Spline, minimum_snap_derivatives, spline_through
 from companion.reference.table_file import Table, read_table
 
+SHORTEST_STEP_S = 1e-3  # rows closer than that are noise: their differences are no velocities
 LEAST_ROWS = 5  # fewer leave a 7th-order curve undetermined, and are waypoints rather than samples
 _ALIASES = {
     "t": "t",
@@ -52,6 +53,7 @@ def csv_trajectory(path: Path, speed: float = 1.0) -> Spline:
             "For a few points use a waypoint file (waypoints:FILE)"
         )
     check_times_increase(table)
+    _check_steps(table, times / speed)
     n = times.size
     values = np.zeros((n, 4, 4))
     values[:, 0, :3] = table.stacked(("x", "y", "z"))
@@ -71,8 +73,9 @@ def csv_trajectory(path: Path, speed: float = 1.0) -> Spline:
         fixed_yaw[:, 1] = True
     times = (times - times[0]) / speed
     try:
-        motion = minimum_snap_derivatives(times, values[:, :, :3], fixed_position)
-        turning = minimum_snap_derivatives(times, values[:, :, 3:], fixed_yaw)
+        with np.errstate(all="ignore"):
+            motion = minimum_snap_derivatives(times, values[:, :, :3], fixed_position)
+            turning = minimum_snap_derivatives(times, values[:, :, 3:], fixed_yaw)
     except np.linalg.LinAlgError:
         motion = turning = np.full((n, 4, 1), np.nan)
     if not (np.isfinite(motion).all() and np.isfinite(turning).all()):
@@ -89,6 +92,15 @@ def check_times_increase(table: Table) -> None:
         raise UserError(
             f"{table.place(row)}: time {times[row]:g} s does not come after {times[row - 1]:g} s "
             "of the row before; sort the rows and drop repeated ones"
+        )
+
+
+def _check_steps(table: Table, times_s: np.ndarray) -> None:
+    short = np.flatnonzero(np.diff(times_s) < SHORTEST_STEP_S * (1.0 - 1e-6))
+    if short.size:
+        raise UserError(
+            f"{table.place(int(short[0]) + 1)}: only {np.diff(times_s)[short[0]]:.3g} s after the row before; "
+            f"rows have to be {SHORTEST_STEP_S:g} s apart or more"
         )
 
 

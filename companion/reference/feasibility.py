@@ -94,8 +94,9 @@ def check_feasibility(
 ) -> Feasibility:
     """Check `trajectory`, as placed, over its duration or its first `span_s`.
 
-    An endless trajectory without `span_s` is checked over a minute. Steps of 5 ms (longer above ten minutes).
-    A trajectory with a true `jumps_by_design` is not checked for jumps.
+    An endless trajectory without `span_s` is checked over a minute. Steps of 5 ms; beyond ten minutes they
+    are longer, and jumps are looked for in the first ten only. A trajectory with a true `jumps_by_design` is
+    not checked for jumps.
     """
     length = trajectory.duration_s if span_s is None else min(span_s, trajectory.duration_s)
     if math.isinf(length):
@@ -107,7 +108,11 @@ def check_feasibility(
         time_s = float(motion.times_s[int(np.argmin(bad))])
         raise UserError(f"the trajectory is not a finite number at {time_s:.3f} s")
     asked = demand(motion, limits.mass_kg)
-    violations = [] if getattr(trajectory, "jumps_by_design", False) else find_jumps(motion)
+    violations: list[Violation] = []
+    if not getattr(trajectory, "jumps_by_design", False):
+        fine = count < MOST_SAMPLES
+        beginning = np.linspace(0.0, STEP_S * MOST_SAMPLES, MOST_SAMPLES + 1)
+        violations += find_jumps(motion if fine else sampled(trajectory, beginning))
     broken = _broken_limits(motion, asked, limits)
     violations += broken
     slower = None

@@ -16,6 +16,7 @@ duration of each segment is found so that speed, acceleration and jerk keep to t
 from __future__ import annotations
 
 import dataclasses
+import math
 import re
 import tomllib
 from dataclasses import dataclass
@@ -34,10 +35,11 @@ from companion.reference.spline import (
     snap_integral,
     spline_through,
 )
-from companion.reference.table_file import read_table, read_text
+from companion.reference.table_file import LARGEST, read_table, read_text
 from companion.reference.transit import TransitLimits
 
 MOST_WAYPOINTS = 2000
+LONGEST_S = 1e5
 _CSV_COLUMNS = {"t": "t", "time_s": "t"} | {name: name for name in ("x", "y", "z", "yaw", "yaw_deg")}
 _LIMIT_NAMES = tuple(
     field.name for field in dataclasses.fields(TransitLimits) if not field.name.startswith("height")
@@ -68,23 +70,41 @@ def waypoint_trajectory(path: Path, speed: float | None = None) -> Spline:
             raise UserError(f"{path}: speed is {speed:g} m/s; it has to be above 0")
         limits = dataclasses.replace(waypoints.limits, speed_m_s=speed)
         waypoints = dataclasses.replace(waypoints, limits=limits)
-    return minimum_snap(waypoints)
+    try:
+        return minimum_snap(waypoints)
+    except ArithmeticError as error:
+        raise UserError(f"{path}: {error}") from None
 
 
 def minimum_snap(waypoints: Waypoints) -> Spline:
-    """Return the curve through the waypoints with the least integral of squared snap, from rest to rest."""
+    """Return the curve through the waypoints with the least integral of squared snap, from rest to rest.
+
+    Raises ArithmeticError, with what to do, where distances or times differ too much for double precision.
+    """
     points = np.column_stack([waypoints.positions, waypoints.yaw_rad])
     if waypoints.times_s is not None:
         times = waypoints.times_s - waypoints.times_s[0]
-        return spline_through(times, _solve(times, points))
+        return _checked_spline(times, points)
     limits = waypoints.limits
     bounds = np.array([getattr(limits, name) for name in _LIMIT_NAMES])[:, None]
     powers = np.array([1.0, 2.0, 3.0, 1.0, 2.0])[:, None]
     times = _best_times(points, limits)
     # From rest to rest, time stretched by k divides the n-th derivative by k^n exactly.
-    need = (peaks_by_segment(times, _solve(times, points)) / bounds) ** (1.0 / powers)
-    times = times * need.max()
-    return spline_through(times, _solve(times, points))
+    with np.errstate(all="ignore"):
+        need = (peaks_by_segment(times, _solve(times, points)) / bounds) ** (1.0 / powers)
+        times = times * need.max()
+    if times[-1] > LONGEST_S:
+        raise ArithmeticError(f"the tour would take {times[-1]:.3g} s; raise its limits or shorten it")
+    return _checked_spline(times, points)
+
+
+def _checked_spline(times_s: Vector, points: Vector) -> Spline:
+    derivatives = _solve(times_s, points)
+    if not (np.isfinite(derivatives).all() and np.isfinite(times_s).all()):
+        raise ArithmeticError(
+            "distances or times between the waypoints differ too much for one smooth curve; split the tour"
+        )
+    return spline_through(times_s, derivatives)
 
 
 def _best_times(points: Vector, limits: TransitLimits) -> Vector:
@@ -112,8 +132,11 @@ def _best_times(points: Vector, limits: TransitLimits) -> Vector:
         lengths = np.exp(logs)
         total = lengths.sum()
         times = np.concatenate([[0.0], np.cumsum(lengths)])
-        cost, slope = snap_integral(times, _solve(times, points), weights)
-        return float(np.log(cost) + 7.0 * np.log(total)), lengths * slope / cost + 7.0 * lengths / total
+        with np.errstate(all="ignore"):
+            cost, slope = snap_integral(times, _solve(times, points), weights)
+        if not (cost > 0.0 and np.isfinite(slope).all()):  # lengths too different for double precision
+            return math.inf, np.zeros_like(logs)
+        return math.log(cost) + 7.0 * math.log(total), lengths * slope / cost + 7.0 * lengths / total
 
     value, slope = objective(logs)
     stride = 0.05
@@ -138,7 +161,11 @@ def _solve(times_s: Vector, points: Vector) -> Vector:
     fixed = np.zeros((times_s.size, 4), dtype=np.bool_)
     fixed[:, 0] = True
     fixed[[0, -1]] = True
-    return minimum_snap_derivatives(times_s, values, fixed)
+    try:
+        with np.errstate(all="ignore"):
+            return minimum_snap_derivatives(times_s, values, fixed)
+    except np.linalg.LinAlgError:
+        return np.full_like(values, np.nan)
 
 
 def read_waypoints(path: Path) -> Waypoints:
@@ -232,6 +259,6 @@ def _limits(path: Path, entry: Any) -> TransitLimits:
 
 
 def _finite(place: str, name: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(float(value)):
-        raise UserError(f"{place}: {name} has to be a finite number, not {value!r}")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST:
+        raise UserError(f"{place}: {name} has to be a finite number (at most {LARGEST:g}), not {value!r}")
     return float(value)

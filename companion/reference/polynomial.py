@@ -38,6 +38,24 @@ def _boundary_inverse() -> Vector:
 FROM_BOUNDARY = np.round(_boundary_inverse() * 6.0) / 6.0
 
 
+def motion_from(table: Vector, s: float) -> Reference:
+    """Return the reference that `table` (20, 8) gives at `s`: rows 4k + axis, ascending powers of s."""
+    s2 = s * s
+    s3 = s2 * s
+    s4 = s2 * s2
+    out = table.dot(np.array((1.0, s, s2, s3, s4, s4 * s, s4 * s2, s4 * s3)))
+    return Reference(
+        out[0:3],
+        out[4:7],
+        out[8:11],
+        out[12:15],
+        out[16:19],
+        float(out[3]),
+        float(out[7]),
+        float(out[11]),
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class Piece:
     """x, y, z and yaw as 7th-order polynomials of s = t / duration_s."""
@@ -48,21 +66,7 @@ class Piece:
 
     def at(self, time_s: float) -> Reference:
         """Return the polynomial and its derivatives at `time_s` after its start; not clamped."""
-        s = time_s / self.duration_s
-        s2 = s * s
-        s3 = s2 * s
-        s4 = s2 * s2
-        out = self._table.dot(np.array((1.0, s, s2, s3, s4, s4 * s, s4 * s2, s4 * s3)))
-        return Reference(
-            out[0:3],
-            out[4:7],
-            out[8:11],
-            out[12:15],
-            out[16:19],
-            float(out[3]),
-            float(out[7]),
-            float(out[11]),
-        )
+        return motion_from(self._table, time_s / self.duration_s)
 
 
 def piece(duration_s: float, coefficients: Vector) -> Piece:

@@ -36,6 +36,7 @@ CATALOGUE: dict[str, Callable[..., Trajectory]] = {
 _BY_ENDING = {".toml": "waypoints", ".csv": "csv"}
 _UNITS = ("_m_s", "_m", "_s", "_rad")
 LARGEST_OPTION = 1e6
+SMALLEST_OPTION = 1e-6
 _WORDS = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 
 
@@ -130,6 +131,8 @@ def _value(name: str, key: str, value: str, is_flag: bool, factor: float) -> flo
     if key.startswith("duration") and number == math.inf:
         return number
     # NaN fails this too; beyond it derivatives would overflow instead of being refused as infeasible.
-    if not abs(number) <= LARGEST_OPTION:
-        raise UserError(f"trajectory '{name}': {key}={value} is out of range (at most {LARGEST_OPTION:g})")
+    if not (number == 0.0 or SMALLEST_OPTION <= abs(number) <= LARGEST_OPTION):
+        raise UserError(
+            f"trajectory '{name}': {key}={value} is out of range ({SMALLEST_OPTION:g} to {LARGEST_OPTION:g})"
+        )
     return number

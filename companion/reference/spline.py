@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.control.structs import Reference, Vector
-from companion.reference.polynomial import DERIVATIVE, FROM_BOUNDARY, ORDER
+from companion.reference.polynomial import DERIVATIVE, FROM_BOUNDARY, ORDER, motion_from
 from companion.reference.trajectory import held_outside
 
 
@@ -105,21 +105,7 @@ class Spline:
         if not 0.0 <= time_s <= self.duration_s:
             return held_outside(self, time_s)
         i = min(bisect_right(self._knots, time_s) - 1, len(self._lengths) - 1)
-        s = (time_s - self._knots[i]) / self._lengths[i]
-        s2 = s * s
-        s3 = s2 * s
-        s4 = s2 * s2
-        out = self._tables[i].dot(np.array((1.0, s, s2, s3, s4, s4 * s, s4 * s2, s4 * s3)))
-        return Reference(
-            out[0:3],
-            out[4:7],
-            out[8:11],
-            out[12:15],
-            out[16:19],
-            float(out[3]),
-            float(out[7]),
-            float(out[11]),
-        )
+        return motion_from(self._tables[i], (time_s - self._knots[i]) / self._lengths[i])
 
     @property
     def knot_times_s(self) -> Vector:

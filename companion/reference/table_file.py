@@ -15,6 +15,8 @@ from companion.config.errors import UserError
 from companion.control.structs import Vector
 
 MAX_BYTES = 64 * 1024 * 1024
+MOST_ROWS = 100_000
+LARGEST = 1e6  # nothing flown here is that far, late or fast; beyond it double precision runs out
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +75,8 @@ def _read_rows(path: Path, rows: Any, aliases: dict[str, str], required: tuple[s
         if not names:
             names = _column_names(where, row, aliases, required)
             continue
+        if len(numbers) == MOST_ROWS:
+            raise UserError(f"{where}: more than {MOST_ROWS} rows; thin the file out or cut it")
         if len(row) != len(names):
             raise UserError(f"{where}: {len(row)} values where the header names {len(names)} columns")
         numbers.append([_number(where, name, cell) for name, cell in zip(names, row, strict=True)])
@@ -114,4 +118,6 @@ def _number(where: str, name: str, cell: str) -> float:
         raise UserError(
             f"{where}: column {name}: {cell.strip()} is not a finite number; fill it in or delete the row"
         )
+    if abs(number) > LARGEST:
+        raise UserError(f"{where}: column {name}: {cell.strip()} is out of range (at most {LARGEST:g})")
     return number

@@ -214,6 +214,10 @@ def test_jumps_are_found_with_place_and_size(field: str, offset: object, what: s
     assert found.value == pytest.approx(float(np.linalg.norm(offset)), rel=0.1)
 
 
+def test_a_long_flight_is_not_taken_for_a_jumping_one() -> None:
+    assert check_feasibility(Lemniscate(), QBALL2, span_s=3000.0).ok
+
+
 def test_a_whole_turn_of_yaw_is_no_jump() -> None:
     assert not named(Joined("yaw_rad", -2.0 * math.pi))
 
