@@ -80,6 +80,7 @@ def flight_metrics(
     notes = ["this flight never tracked a trajectory"] if tracking is None else list(tracking.notes)
     if tracking is None and record.cut:
         notes.append(f"the log was cut ({record.cut}); its last record is at {record.end_time_s:.2f} s")
+    notes += _losses(record)
     for source, series in (tracking.series if tracking else {}).items():
         columns = {
             f"position_{source}_m": series.position_m,
@@ -121,6 +122,18 @@ def how_it_ended(record: FlightRecord) -> str:
         fields = ends[-1].fields
         return str(fields.get("outcome") or fields.get("text") or fields.get("reason") or "unknown")
     return "log cut" if record.cut else "unknown"
+
+
+def _losses(record: FlightRecord) -> list[str]:
+    """Say what the log itself says that it misses."""
+    counts = dict(record.metadata.get("log", {}))
+    for event in record.events_of("log"):  # a cut log has no closing account
+        for name in ("dropped", "rejected", "lost"):
+            counts.setdefault(name, str(event.fields.get(name, 0)))
+    missing = sum(int(_number(counts.get(name)) or 0) for name in ("dropped", "rejected", "lost"))
+    return (
+        [f"the log misses {missing} records: {counts.get('trouble') or 'see its events'}"] if missing else []
+    )
 
 
 def _statistics(column: NDArray[np.float64]) -> dict[str, Triple]:

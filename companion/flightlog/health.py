@@ -39,7 +39,10 @@ def free_bytes(path: Path) -> int:
 def open_for_writing(path: Path, overwrite: bool, minimum_free_bytes: int) -> int:
     """Open the log for writing. Raises UserError that says what to do."""
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except FileExistsError as error:
+            raise NotADirectoryError(error.errno, f"{path.parent} is not a folder") from error
         free = shutil.disk_usage(path.parent).free
         if free < minimum_free_bytes:
             raise UserError(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import heapq
+import itertools
+import operator
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -62,7 +64,7 @@ def recover(source: str | os.PathLike[str], output: str | os.PathLike[str] | Non
 
 
 def _copy_messages(file: McapFile, channels: list[RawChannel]) -> int:
-    """Copy all messages in order of log time, those of one channel in their own order."""
+    """Copy all messages by log time, those of one channel in their own order even where it is not that of time."""
     schemas: dict[tuple[str, str, bytes], int] = {}
     streams = []
     for item in channels:
@@ -70,26 +72,21 @@ def _copy_messages(file: McapFile, channels: list[RawChannel]) -> int:
         if key not in schemas:
             schemas[key] = file.add_schema(*key) if item.schema_name else 0
         channel_id = file.add_channel(item.topic, item.encoding, schemas[key], item.metadata)
+        rank = itertools.accumulate(item.log_times_ns, max)
         streams.append(
-            sorted(  # stable; heapq.merge needs each stream in order
-                zip(
-                    item.log_times_ns,
-                    [channel_id] * len(item.messages),
-                    item.publish_times_ns,
-                    item.messages,
-                    strict=True,
-                ),
-                key=_log_time,
+            zip(
+                rank,
+                itertools.repeat(channel_id),
+                item.log_times_ns,
+                item.publish_times_ns,
+                item.messages,
+                strict=False,
             )
         )
     count = 0
-    for log_time, channel_id, publish_time, message in heapq.merge(*streams, key=_log_time):
+    for _, channel_id, log_time, publish_time, message in heapq.merge(*streams, key=operator.itemgetter(0)):
         file.add_message(channel_id, log_time, message, publish_time)
         count += 1
         if file.pending_bytes > CHUNK_BYTES:
             file.flush()
     return count
-
-
-def _log_time(row: tuple[int, int, int, bytes]) -> int:
-    return row[0]

@@ -255,6 +255,9 @@ class FlightLog:
             self._drain()
         self._drain()
         with contextlib.suppress(OSError):
+            losses = {"dropped": self._dropped, "rejected": self._rejected, "lost": self._lost}
+            values = {name: str(count) for name, count in losses.items()}
+            self._guard(self._file.add_metadata, "log", values | {"trouble": self._trouble or self._unfit})
             self._guard(self._file.finish)
             os.fsync(self._descriptor)
 
@@ -301,8 +304,8 @@ class FlightLog:
 
     def _report_losses(self) -> None:
         losses = (self._dropped, self._rejected, self._lost)
-        if losses == self._reported:
-            return
+        if losses == self._reported or (self._trouble and not self._file.pending_messages):
+            return  # on a full disk the report itself would be lost, and reported again
         self._reported = losses
         text = self._trouble or self._unfit or "the log's queue was full"
         fields = {"text": text, "dropped": losses[0], "rejected": losses[1], "lost": losses[2]}

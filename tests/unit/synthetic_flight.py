@@ -57,7 +57,9 @@ def quaternion(euler):
     )
 
 
-def write(path, *, seconds=20.0, controller="dtlannc", seed=1, truth=True, track=True, level="attitude", scale=1.0):
+def write(
+    path, *, seconds=20.0, controller="dtlannc", seed=1, truth=True, track=True, level="attitude", scale=1.0
+):
     """Write the flight's log to `path`; `scale` stretches the position error."""
     facts = {
         "controller": controller,
@@ -93,7 +95,9 @@ def write(path, *, seconds=20.0, controller="dtlannc", seed=1, truth=True, track
             if time < BOOT_S + 3.0:
                 position = position * [1, 1, (time - BOOT_S) / 3.0]
             euler = wanted_euler(t) - ATTITUDE_ERROR_RAD
-            return np.concatenate((position - scale * position_error(t) + off, velocity, quaternion(euler), np.zeros(3)))
+            return np.concatenate(
+                (position - scale * position_error(t) + off, velocity, quaternion(euler), np.zeros(3))
+            )
 
         for time in np.arange(BOOT_S, end, 0.008):
             t = time - TRACK_FROM_S
@@ -103,7 +107,14 @@ def write(path, *, seconds=20.0, controller="dtlannc", seed=1, truth=True, track
             motion = np.concatenate((position, velocity, np.zeros(9)))
             log.record(reference, time, motion, 0.3, 0.0, 0.0, t if tracking else np.nan)
             log.record(
-                setpoint, time, 0.0, 17.5 + np.sin(t), 0.5, quaternion(wanted_euler(t)), np.zeros(3), np.zeros(3)
+                setpoint,
+                time,
+                0.0,
+                17.5 + np.sin(t),
+                0.5,
+                quaternion(wanted_euler(t)),
+                np.zeros(3),
+                np.zeros(3),
             )
             packed["euler_desired"] = wanted_euler(t)
             packed["position"]["proportional_term"] = np.sin([t, 2 * t, 3 * t])
@@ -112,7 +123,6 @@ def write(path, *, seconds=20.0, controller="dtlannc", seed=1, truth=True, track
             packed["attitude"]["weight_norm"] = 0.2 * (1 - np.exp(-0.4 * (time - BOOT_S)))
             packed["position"]["lyapunov"] = abs(np.sin(t)) * 0.01
             packed["attitude"]["lyapunov"] = abs(np.cos(t)) * 0.001
-            packed["flags"] = 5
             log.record(terms, time, packed)
             log.record(weights, time, np.full((6, 3), t))
             log.record(timing, time, 0.008 + 1e-4 * rng.random(), 3e-4 + 1e-4 * rng.random(), 5e-6, 3.0)
