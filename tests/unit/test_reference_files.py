@@ -93,7 +93,9 @@ def samples(header: str = "t,x,y,z", n: int = 8) -> str:
 
 def test_csv_goes_through_its_rows(tmp_path: Path) -> None:
     text = "# a comment\n\n t , X , y_m, z, yaw_deg\n"
-    text += "".join(f"{10 + 0.5 * i}, {i}, {i**2}, 1, {170 + 10 * i}\n" for i in range(8))
+    text += "".join(
+        f"{10 + 0.5 * i}, {i}, {i**2}, 1, {math.remainder(170 + 10 * i, 360)}\n" for i in range(8)
+    )
     trajectory = trajectory_from_text(f"csv:{write(tmp_path, 'a.csv', text)}")
     assert trajectory.duration_s == pytest.approx(3.5)
     for i in range(8):
