@@ -73,7 +73,7 @@ def _finite(x: Record) -> bool:
 
 @compiled
 def begin(p: Record, m: Record, x: Record, m_next: Record, t: Record) -> bool:
-    """Copy the memory, find η and η̇; False, with the reason in `t.flags`, where no setpoint may be made."""
+    """Copy the memory, find η and η̇; False, with the reason in `t.bounds`, where no setpoint may be made."""
     m_next.position_integral[:] = m.position_integral
     m_next.position_weights[:, :] = m.position_weights
     m_next.attitude_integral[:] = m.attitude_integral
@@ -86,11 +86,11 @@ def begin(p: Record, m: Record, x: Record, m_next: Record, t: Record) -> bool:
     m_next.hand_over_yaw = m.hand_over_yaw
     m_next.started = m.started
     if not _finite(x):
-        t.flags |= NOT_FINITE
+        t.bounds |= NOT_FINITE
         return False
     t.euler[:] = euler_from_quaternion(x.quaternion)
     if math.cos(t.euler[0]) * math.cos(t.euler[1]) < math.cos(p.tilt_abort):
-        t.flags |= TOO_TILTED
+        t.bounds |= TOO_TILTED
         return False
     t.euler_rate[:] = times(rate_matrix(t.euler), x.body_rate)
     return True
@@ -167,12 +167,12 @@ def _point_thrust(p: Record, m: Record, x: Record, m_next: Record, t: Record, si
         t.force[i] = t.position.total[i] + t.hand_over_force[i]
     m_next.hand_over_yaw = m.hand_over_yaw * fade
     yaw = x.reference_yaw + m.hand_over_yaw
-    t.flags |= bound_force(t.force, p.force_z_min, p.tilt_max)
+    t.bounds |= bound_force(t.force, p.force_z_min, p.tilt_max)
     t.thrust_wanted = t.force[2] / (math.cos(t.euler[0]) * math.cos(t.euler[1]))
     if t.thrust_wanted > p.thrust_max:
-        t.flags |= THRUST_MAX
+        t.bounds |= THRUST_MAX
     if t.thrust_wanted < p.thrust_min:
-        t.flags |= THRUST_MIN
+        t.bounds |= THRUST_MIN
     t.euler_desired[:] = euler_from_force(t.force, yaw)
 
     rows = flat_attitude(
@@ -200,7 +200,7 @@ def _point_thrust(p: Record, m: Record, x: Record, m_next: Record, t: Record, si
         t.euler_setpoint[i] += (
             p.attitude_lead[i] * t.flat_euler_rate[i] + p.attitude_lead_2[i] * t.flat_euler_acceleration[i]
         )
-    t.flags |= bound_tilt(t.euler_setpoint, p.tilt_max)
+    t.bounds |= bound_tilt(t.euler_setpoint, p.tilt_max)
 
 
 @compiled
@@ -298,7 +298,7 @@ def _actuate(p: Record, m: Record, x: Record, m_next: Record, t: Record) -> None
     t.torque[:] = got[1:]
     if p.level == ACTUATOR:
         t.thrust = got[0]
-        t.flags |= cut
+        t.bounds |= cut
     m_next.started = 1.0
 
 
@@ -317,7 +317,7 @@ def finish(
     angular_acceleration = times(to_body, t.flat_euler_acceleration)
     for i in range(3):
         t.body_rate[i] += p.rate_lead[i] * angular_acceleration[i]
-    t.flags |= bound_each(t.body_rate, p.body_rate_max, BODY_RATE)
+    t.bounds |= bound_each(t.body_rate, p.body_rate_max, BODY_RATE)
 
     _actuate(p, m, x, m_next, t)
 
@@ -327,7 +327,7 @@ def finish(
         m_next.attitude_integral[:] = 0.0
         m_next.attitude_weights[:, :] = 0.0
     elif x.gate <= FREEZE_WEIGHTS:
-        if not t.flags & POSITION_SATURATES:
+        if not t.bounds & POSITION_SATURATES:
             held = _learn(
                 p.position,
                 x,
@@ -338,8 +338,8 @@ def finish(
                 m_next.position_integral,
                 m_next.position_weights,
             )
-            t.flags |= POSITION_INTEGRAL * held[0] | POSITION_WEIGHTS * held[1]
-        if p.level == ACTUATOR and not t.flags & ATTITUDE_SATURATES:
+            t.bounds |= POSITION_INTEGRAL * held[0] | POSITION_WEIGHTS * held[1]
+        if p.level == ACTUATOR and not t.bounds & ATTITUDE_SATURATES:
             held = _learn(
                 p.attitude,
                 x,
@@ -350,4 +350,4 @@ def finish(
                 m_next.attitude_integral,
                 m_next.attitude_weights,
             )
-            t.flags |= ATTITUDE_INTEGRAL * held[0] | ATTITUDE_WEIGHTS * held[1]
+            t.bounds |= ATTITUDE_INTEGRAL * held[0] | ATTITUDE_WEIGHTS * held[1]

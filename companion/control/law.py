@@ -110,7 +110,7 @@ class ControlLaw:
         following = np.empty(1, memory_dtype(self.hidden))[0]
         terms = np.zeros(1, TERMS)[0]
         self.kernel(self.parameters, memory.values, record, following, terms)
-        flags = int(terms["flags"])
+        flags = int(terms["bounds"])
         if flags & (NOT_FINITE | TOO_TILTED):
             raise StepRefused(self._refusal(flags, terms))
         setpoint = Setpoint(

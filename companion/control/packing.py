@@ -147,7 +147,7 @@ TERMS = np.dtype(
             ("torque_wanted", "f8", (3,)),  # τ of Eq. (27), N·m
             ("torque", "f8", (3,)),  # τ with rotor lead, as the rotors can give it with this thrust, N·m
             ("rotor_thrust", "f8", (MAX_ROTORS,)),  # allocation, N; unused entries are 0
-            ("flags", "i8"),  # bits of `Bound`
+            ("bounds", "i8"),  # bits of `Bound`: which bounds are active. Last, the only integer
         ],
     )
 )
@@ -243,7 +243,7 @@ class Terms:
     @property
     def flags(self) -> int:
         """Active bounds, bits of `companion.control.bounds.Bound`."""
-        return int(self.values["flags"])
+        return int(self.values["bounds"])
 
     def flat(self) -> dict[str, Vector | float]:
         """All fields by dotted name (`position.error`, `thrust`), for the log."""
