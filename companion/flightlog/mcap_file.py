@@ -1,10 +1,10 @@
 """An MCAP file that is whole at every flush: chunks, indexes and summary, written straight to the file.
 
-Why not one of the two libraries (measured by scripts/bench/log_writer.py): the `mcap` package costs
-7–11 µs a record under the GIL that the control thread needs too; foxglove-sdk 1.5–4 µs, and it keeps
-a full disk to itself. This costs under 1 µs, hands compression and writing to C with the GIL released,
-and on a failed write cuts the file back to its last whole chunk, so that it stays readable and can be
-continued when there is room again. The rare records are laid out by `mcap.records`.
+Why not one of the two libraries (scripts/bench/log_writer.py measures them): with a flush every 200 records,
+one record costs 1.9 µs here, 3.3 µs in foxglove-sdk's writer, 10.7 µs in the mcap package's, under a GIL that
+the control thread needs too. And neither says what a full disk took: here a failed write cuts the file back
+to its last whole chunk, so that it stays readable, is continued when there is room again, and the loss is
+counted. The rare records are laid out by `mcap.records`.
 """
 
 from __future__ import annotations

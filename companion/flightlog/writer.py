@@ -43,6 +43,7 @@ MAVLINK_TOPICS = {"in": "/mavlink/in", "out": "/mavlink/out"}
 MAVLINK_SCHEMA_NAME = "companion/msg/MavlinkFrame"
 
 _DOUBLE = struct.Struct("<d")
+_FLOAT64 = np.dtype(np.float64)
 _RECORD_HEAD = struct.Struct("<4sd")
 _FRAME_HEAD = struct.Struct("<4sdI")
 
@@ -160,7 +161,13 @@ class FlightLog:
             self._dropped += 1
             return
         try:
-            body = _packed(parts[0]) if len(parts) == 1 else b"".join([_packed(part) for part in parts])
+            part = parts[0]
+            if len(parts) > 1:
+                body = b"".join(map(_packed, parts))
+            elif type(part) is np.ndarray and part.dtype is _FLOAT64:  # the usual case, without a call
+                body = part.tobytes()
+            else:
+                body = _packed(part)
             self._queue.append(("record", channel, time_s, body))
         except Exception as error:  # a defect in what is logged must not cost the flight
             self._rejected += 1
@@ -372,8 +379,11 @@ class FlightLog:
 
 
 def _packed(part: NDArray[np.float64] | np.void | float) -> bytes:
+    """Return the bytes of one field or of a whole record. The usual case first: this runs for every field."""
+    if type(part) is float:
+        return _DOUBLE.pack(part)
     if isinstance(part, (np.ndarray, np.void)):
-        if part.dtype == np.float64 or part.dtype.names:
+        if part.dtype is _FLOAT64 or part.dtype.names or part.dtype == _FLOAT64:
             return part.tobytes()
         return np.asarray(part, dtype=np.float64).tobytes()
     return _DOUBLE.pack(part)
