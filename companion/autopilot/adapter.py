@@ -106,6 +106,10 @@ class Adapter(ABC):
     """Names this autopilot's responses in a vehicle profile."""
     truth_message_id: int
     """The message a simulation of this autopilot gives its true state in."""
+    estimator_message_id: int
+    """The message that tells what the estimator knows: ESTIMATOR_STATUS or EKF_STATUS_REPORT."""
+    prearm_bit_counts: bool
+    """Whether SYS_STATUS' pre-arm bit must be set before our mode is entered (on PX4 it is the current mode's)."""
     spool_time_s: float
     """From arming until positive thrust turns into thrust."""
     bytewise_parameters: bool
@@ -138,7 +142,7 @@ class Adapter(ABC):
     def not_ready(self, status: VehicleStatus) -> list[str]:
         """Why the autopilot cannot be armed for our mode yet; empty when it can."""
         reasons = []
-        if status.prearm_ok is False:
+        if self.prearm_bit_counts and status.prearm_ok is not True:
             reasons.append("pre-arm checks not passed")
         flags = status.estimator_flags
         if flags is not None:
@@ -169,6 +173,14 @@ class Adapter(ABC):
             setpoint.body_rate_flu,
             thrust,
         )
+
+    def encode_actuators(self, time_s: float, controls: Vector, target_system: int) -> Message:
+        """Message for actuator controls (4,): roll, pitch, yaw (FLU, −1..1), thrust (0..1).
+
+        Raises:
+            NotImplementedError: the autopilot never took them; `check` refuses such a flight.
+        """
+        raise NotImplementedError(f"{self.name} takes no actuator controls")
 
 
 def attitude_target(

@@ -26,6 +26,8 @@ class ArduPilot(Adapter):
     name = "ArduPilot"
     profile_key = "ardupilot"
     truth_message_id = mav.MAVLINK_MSG_ID_SIM_STATE
+    estimator_message_id = mav.MAVLINK_MSG_ID_EKF_STATUS_REPORT
+    prearm_bit_counts = True
     spool_time_s = 2.5  # 2 s arming delay and 0.5 s spool-up
     bytewise_parameters = False
     hover_thrust_parameter = "MOT_THST_HOVER"

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import numpy as np
-
 from companion.autopilot.adapter import Adapter, Finding, Intent, Verdict
-from companion.control.structs import ControlLevel, Setpoint
+from companion.control.structs import ControlLevel, Vector
 from companion.mavlink.frames import frd_from_flu
 from companion.mavlink.link import Message, mav
 from companion.mavlink.protocol import Command
@@ -62,6 +60,8 @@ class Px4(Adapter):
     name = "PX4"
     profile_key = "px4"
     truth_message_id = mav.MAVLINK_MSG_ID_HIL_STATE_QUATERNION
+    estimator_message_id = mav.MAVLINK_MSG_ID_ESTIMATOR_STATUS
+    prearm_bit_counts = False
     spool_time_s = 1.0  # COM_SPOOLUP_TIME
     bytewise_parameters = True
     hover_thrust_parameter = "MPC_THR_HOVER"
@@ -170,17 +170,8 @@ class Px4(Adapter):
             )
         return findings
 
-    def actuator_controls(
-        self, setpoint: Setpoint, time_s: float, controls: np.ndarray, target_system: int
-    ) -> Message:
-        """SET_ACTUATOR_CONTROL_TARGET, group 0: normalised roll, pitch, yaw torque (FRD, −1..1) and thrust 0..1.
-
-        Args:
-            setpoint: kept for the time and level it stands for.
-            time_s: the autopilot's time since boot.
-            controls: (4,) roll, pitch, yaw in FLU and thrust, normalised by the profile's geometry.
-            target_system: the autopilot's system id.
-        """
+    def encode_actuators(self, time_s: float, controls: Vector, target_system: int) -> Message:
+        """SET_ACTUATOR_CONTROL_TARGET, group 0; see `Adapter.encode_actuators`."""
         torque_frd = frd_from_flu(controls[:3])
         group = [float(value) for value in (*torque_frd, controls[3], 0.0, 0.0, 0.0, 0.0)]
         return mav.MAVLink_set_actuator_control_target_message(

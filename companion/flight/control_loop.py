@@ -15,8 +15,8 @@ import numpy as np
 
 from companion.autopilot.adapter import TYPE_MASK_ATTITUDE, attitude_target
 from companion.autopilot.thrust import ThrustScale
-from companion.config.flight import FlightSettings
-from companion.control.law import ControlLaw
+from companion.config.settings import FlightSettings
+from companion.control.law import ControlLaw, StepRefused, pack_input
 from companion.control.packing import Memory
 from companion.control.prediction import Predictor
 from companion.control.structs import AdaptationGate, ControlLevel, Reference, Setpoint, Vector, VehicleState
@@ -69,11 +69,21 @@ class ControlLoop:
         self._level_quaternion: Vector = np.array([1.0, 0.0, 0.0, 0.0])
         self._lift_off_started_s = 0.0
         self._flags = 0
-        self.period_s = 1.0 / settings.control_rate_hz[law.level.value]
+        self.period_s = 1.0 / settings.rate_hz
         self.activity = Activity.NOTHING
         self.lift_off_thrust = 0.0  # normalised, as last sent while lifting off
         self.position_error_enu: Vector = np.zeros(3)
         self.counters: Counter[str] = Counter()
+
+    @property
+    def hover_thrust(self) -> float:
+        """Normalised thrust that is taken to carry the weight."""
+        return self._thrust.hover_thrust
+
+    @property
+    def state_delay_s(self) -> float:
+        """By how much states are predicted ahead."""
+        return self._predictor.delay_s
 
     @property
     def plan_time_s(self) -> float:
@@ -151,17 +161,16 @@ class ControlLoop:
         dt_s = min(state.time_s - self._last_step_s, LONGEST_STEP * self.period_s)
         law_ns = time.perf_counter_ns()
         ahead = self._predictor.predict(state)
+        inputs = pack_input(ahead, self._plan.sample(now_s + ahead.time_s - state.time_s), dt_s, gate)
         try:
-            result = self._law.step(
-                self._memory, ahead, self._plan.sample(now_s + ahead.time_s - state.time_s), dt_s, gate
-            )
-        except FloatingPointError as error:
+            result = self._law.step_packed(self._memory, inputs)
+        except StepRefused as error:
             raise Aborted(f"the control law has no answer: {error}") from error
         law_s = (time.perf_counter_ns() - law_ns) * 1e-9
         self._memory = result.memory
         self._send(state.time_s, result.setpoint, result.terms.values["rotor_thrust"])
         self._recorder.reference(state.time_s, reference, tracking_time(self._plan, now_s))
-        self._recorder.step(state.time_s, result.inputs, result.terms.values, result)
+        self._recorder.step(state.time_s, inputs, result)
         self._note_bounds(result.terms.flags)
         return law_s
 
@@ -180,7 +189,11 @@ class ControlLoop:
 
     def _send_level(self, state: VehicleState, thrust: float) -> None:
         setpoint = Setpoint(
-            ControlLevel.ATTITUDE, self._thrust.newton(thrust), self._level_quaternion, np.zeros(3), np.zeros(3)
+            ControlLevel.ATTITUDE,
+            self._thrust.newton(thrust),
+            self._level_quaternion,
+            np.zeros(3),
+            np.zeros(3),
         )
         link = self._vehicle.link
         link.send(
@@ -197,7 +210,7 @@ class ControlLoop:
         self._recorder.setpoint(state.time_s, setpoint, thrust)
 
     def _lift_off_thrust(self, time_s: float) -> float:
-        settings = self._settings
+        settings = self._settings.procedure
         rising_s = max(0.0, time_s - self._lift_off_started_s)
         hovers = settings.lift_off_start + settings.lift_off_rate * rising_s
         self.lift_off_thrust = hovers * self._thrust.hover_thrust

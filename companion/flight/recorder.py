@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 
 import numpy as np
 
 from companion.autopilot.adapter import Adapter, VehicleStatus
-from companion.control.structs import ControlLevel, Reference, Setpoint, StepResult, VehicleState
+from companion.control.packing import INPUT, TERMS
+from companion.control.structs import ControlLevel, Reference, Setpoint, StepResult, Vector, VehicleState
 from companion.flightlog.channels import (
     ESTIMATES,
     REFERENCE,
@@ -22,7 +22,12 @@ from companion.flightlog.channels import (
     weights_channel,
 )
 from companion.flightlog.writer import FlightLog
-from companion.mavlink.frames import enu_from_global, enu_from_ned, flu_from_frd, quaternion_enu_flu_from_ned_frd
+from companion.mavlink.frames import (
+    enu_from_global,
+    enu_from_ned,
+    flu_from_frd,
+    quaternion_enu_flu_from_ned_frd,
+)
 from companion.mavlink.link import Message, mav
 
 LEVEL_NUMBER = {ControlLevel.ATTITUDE: 0.0, ControlLevel.BODY_RATE: 1.0, ControlLevel.ACTUATOR: 2.0}
@@ -31,7 +36,7 @@ LEVEL_NUMBER = {ControlLevel.ATTITUDE: 0.0, ControlLevel.BODY_RATE: 1.0, Control
 class Recorder:
     """Writes one flight into one log. All times are the autopilot's."""
 
-    def __init__(self, log: FlightLog, terms: Iterable[tuple[str, int, str]], inputs: int, neurons: int) -> None:
+    def __init__(self, log: FlightLog) -> None:
         self.log = log
         self._state = log.define(STATE)
         self._reference = log.define(REFERENCE)
@@ -39,11 +44,20 @@ class Recorder:
         self._truth = log.define(TRUTH)
         self._timing = log.define(TIMING)
         self._estimates = log.define(ESTIMATES)
-        self._terms = log.define(terms_channel(terms))
-        self._input = log.define(ChannelSpec("/law_input", (FieldSpec("packed", inputs, "", "control.packing.INPUT"),)))
+        self.truth_seen = 0
+        self._latest_enu: Vector | None = None
+        self._ground_place: tuple[float, float, float] | None = None
+        self._ground_samples = 0
+        self._origin_offset_enu: Vector = np.zeros(3)
+        self._origin_told = False
+
+    def define_law(self, neurons: int) -> None:
+        """Open the channels of the law: its inputs, its terms, the weights of its networks with `neurons` each."""
+        log = self.log
+        self._terms = log.define(terms_channel(_layout(TERMS)))
+        self._input = log.define(ChannelSpec("/law_input", _fields(INPUT)))
         self._position_weights = log.define(weights_channel("position", neurons))
         self._attitude_weights = log.define(weights_channel("attitude", neurons))
-        self.truth_seen = 0
 
     def frame(self, outgoing: bool, autopilot_time_s: float, frame: bytes) -> None:
         """One MAVLink frame; the link's tap."""
@@ -51,6 +65,7 @@ class Recorder:
 
     def state(self, state: VehicleState, position_age_s: float) -> None:
         """The state as assembled, at its own time."""
+        self._latest_enu = state.position_enu
         self.log.record(
             self._state,
             state.time_s,
@@ -91,10 +106,12 @@ class Recorder:
             setpoint.torque_flu,
         )
 
-    def step(self, time_s: float, packed_input: np.ndarray, packed_terms: np.ndarray, result: StepResult) -> None:
-        """Everything the law saw, made and remembers."""
-        self.log.record(self._input, time_s, packed_input)
-        self.log.record(self._terms, time_s, packed_terms)
+    def step(self, time_s: float, inputs: Vector, result: StepResult) -> None:
+        """Everything the law saw (`packing.INPUT`), made (`packing.TERMS`) and remembers of its networks."""
+        terms = np.frombuffer(result.terms.values.tobytes(), dtype=np.float64).copy()
+        terms[-1] = float(result.terms.flags)  # the record's only integer
+        self.log.record(self._input, time_s, inputs)
+        self.log.record(self._terms, time_s, terms)
         self.log.record(self._position_weights, time_s, np.ravel(result.memory.position_weights))
         self.log.record(self._attitude_weights, time_s, np.ravel(result.memory.attitude_weights))
 
@@ -103,7 +120,13 @@ class Recorder:
         self.log.record(self._timing, time_s, period_s, compute_s, law_s, float(self.log.waiting))
 
     def estimates(
-        self, time_s: float, hover_thrust: float, offset_s: float, round_trip_s: float, delay_s: float, status: VehicleStatus
+        self,
+        time_s: float,
+        hover_thrust: float,
+        offset_s: float,
+        round_trip_s: float,
+        delay_s: float,
+        status: VehicleStatus,
     ) -> None:
         """Slow estimates."""
         voltage = status.battery_voltage_v
@@ -118,12 +141,16 @@ class Recorder:
         )
 
     def truth(self, message: Message, adapter: Adapter, status: VehicleStatus, now_s: float) -> None:
-        """The simulator's true state (HIL_STATE_QUATERNION or SIM_STATE), in the local frame."""
-        if message.get_msgId() != adapter.truth_message_id or status.global_origin is None:
+        """The simulator's true state (HIL_STATE_QUATERNION or SIM_STATE), in the autopilot's local frame.
+
+        The local frame's origin is GPS_GLOBAL_ORIGIN. An autopilot that flies without GPS has none: then the truth
+        is laid over the estimate as they stand on the ground, and the log says so.
+        """
+        if message.get_msgId() != adapter.truth_message_id:
             return
         self.truth_seen += 1
         if message.get_msgId() == mav.MAVLINK_MSG_ID_HIL_STATE_QUATERNION:
-            time_s = message.time_usec * 1e-6
+            time_s = message.time_usec * 1e-6 or now_s  # PX4's simulation leaves it 0
             place = (message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3)
             velocity_ned = np.array([message.vx, message.vy, message.vz]) * 1e-2
             quaternion = message.attitude_quaternion
@@ -134,14 +161,55 @@ class Recorder:
             velocity_ned = np.array([message.vn, message.ve, message.vd])
             quaternion = (message.q1, message.q2, message.q3, message.q4)
             rates = (message.xgyro, message.ygyro, message.zgyro)
+        origin = status.global_origin or self._assumed_origin(place, status)
+        if origin is None:
+            return
         self.log.record(
             self._truth,
             time_s,
-            enu_from_global(*place, status.global_origin),
+            enu_from_global(*place, origin) + self._origin_offset_enu,
             enu_from_ned(velocity_ned),
             quaternion_enu_flu_from_ned_frd(quaternion),
             flu_from_frd(rates),
         )
+
+    def _assumed_origin(
+        self, place: tuple[float, float, float], status: VehicleStatus
+    ) -> tuple[float, float, float] | None:
+        """An origin that puts the truth on the estimate, averaged while the vehicle stands disarmed."""
+        if not status.armed and self._latest_enu is not None:
+            if self._ground_place is None:
+                self._ground_place = place
+            difference = self._latest_enu - enu_from_global(*place, self._ground_place)
+            self._ground_samples += 1
+            self._origin_offset_enu = (
+                self._origin_offset_enu + (difference - self._origin_offset_enu) / self._ground_samples
+            )
+            return None
+        if self._ground_place is not None and not self._origin_told:
+            self._origin_told = True
+            self.log.event(
+                "warning",
+                0.0,
+                text="no GPS_GLOBAL_ORIGIN: the true position is laid over the estimate as they stood on the ground",
+            )
+        return self._ground_place
+
+
+def _layout(record: np.dtype[np.void], prefix: str = "") -> list[tuple[str, int, str]]:
+    """(name, width, unit) of a packed record's fields in order; inner records are `outer_inner`."""
+    layout: list[tuple[str, int, str]] = []
+    for name in record.names or ():
+        inner = record.fields[name][0]  # type: ignore[index]
+        if inner.names:
+            layout += _layout(inner, f"{prefix}{name}_")
+        else:
+            layout.append((prefix + name, int(np.prod(inner.shape, dtype=int)), ""))
+    return layout
+
+
+def _fields(record: np.dtype[np.void]) -> tuple[FieldSpec, ...]:
+    return tuple(FieldSpec(name, width, unit) for name, width, unit in _layout(record))
 
 
 def _finer(integer: int, single: float) -> float:

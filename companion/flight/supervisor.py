@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.config.flight import SafetyLimits
+from companion.config.procedure import SafetyLimits
 from companion.control.structs import Reference, Vector, VehicleState
 
 

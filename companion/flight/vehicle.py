@@ -71,6 +71,7 @@ class Vehicle:
                         raise LinkLost(f"nothing heard from the autopilot for {self.silence_limit_s:.1f} s")
                     continue
             self._handle(self._waiting.popleft())
+            started_s = started_s or self.link.autopilot_time_s  # 0 until the first time stamp
             if self.link.autopilot_time_s - started_s > timeout_s:
                 raise WaitedTooLong(f"{what or 'the autopilot'}: nothing after {timeout_s:.0f} s")
 
@@ -179,4 +180,4 @@ class Vehicle:
 
     def ask_for_stream(self, message_id: int, rate_hz: float) -> bool:
         """Ask for a message at `rate_hz`; False when it is refused or not answered."""
-        return self.command(message_interval(message_id, rate_hz)) == mav.MAV_RESULT_ACCEPTED
+        return bool(self.command(message_interval(message_id, rate_hz)) == mav.MAV_RESULT_ACCEPTED)

@@ -14,12 +14,13 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 os.environ.setdefault("MAVLINK20", "1")
-from pymavlink.dialects.v20 import ardupilotmega as mav
+from pymavlink.dialects.v20 import all as every_dialect  # CURRENT_MODE is in no smaller one
 
 from companion.mavlink.framing import StreamFramer, split_frames
 from companion.mavlink.timesync import TimeSync
 from companion.mavlink.transport import StreamTransport, UdpTransport
 
+mav: Any = every_dialect
 Message = Any  # a message object of the pymavlink dialect; its fields are MAVLink's
 
 OUR_COMPONENT = mav.MAV_COMP_ID_ONBOARD_COMPUTER  # 191

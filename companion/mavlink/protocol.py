@@ -17,7 +17,7 @@ RESULT_WORDS = {
     mav.MAV_RESULT_UNSUPPORTED: "unsupported",
     mav.MAV_RESULT_FAILED: "failed",
     mav.MAV_RESULT_IN_PROGRESS: "in progress",
-    mav.MAV_RESULT_CANCELLED: "cancelled",
+    6: "cancelled",  # MAV_RESULT_CANCELLED, which the dialect does not name
 }
 
 _INTEGER_TYPES = {

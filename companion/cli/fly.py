@@ -1,0 +1,199 @@
+"""`companion fly`: connect, check, take off, track, land; a log of it all, and the errors at the end."""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import json
+import shlex
+import sys
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+from companion.config.errors import UserError
+
+EPILOG = """examples:
+  companion fly --sitl px4                                     the bundled stub, as fast as it goes
+  companion fly --sitl px4 --real-time --controller tlmbc      the same in real time, another law
+  companion fly --endpoint udpin:0.0.0.0:14540                 PX4's own simulation
+  companion fly --endpoint tcp:127.0.0.1:5760 --profile arducopter_sitl --fix
+  companion fly --endpoint /dev/ttyACM0,921600 --profile my_drone.toml --trajectory hover
+
+Ctrl-C lands; a second Ctrl-C hands back to the autopilot at once. A vehicle that is not a simulation is armed by
+its pilot, unless --arm is given. Exit codes: 0 flown as planned, 1 the link was lost, 2 refused or wrong input,
+3 ended early and landed or handed back.
+"""
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the command to `companion`."""
+    parser = subparsers.add_parser(
+        "fly",
+        help="fly a trajectory",
+        description=__doc__,
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_flight_options(parser)
+    parser.add_argument(
+        "--controller", default="dtlannc", metavar="NAME", help="control law: dtlannc, tlmbc, nnsmc"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=1, metavar="N", help="draws the networks, and the stub's noise"
+    )
+    parser.add_argument(
+        "--log", metavar="FILE", help="MCAP file (default: flights/TIME-CONTROLLER-LEVEL.mcap)"
+    )
+    parser.add_argument("--overwrite", action="store_true", help="replace an existing log file")
+    parser.add_argument("--report", nargs="?", const="", metavar="FILE", help="also write an HTML report")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
+def add_flight_options(parser: argparse.ArgumentParser) -> None:
+    """Options that `fly` and `compare` share."""
+    where = parser.add_mutually_exclusive_group(required=True)
+    where.add_argument(
+        "--endpoint", metavar="ADDRESS", help="the autopilot's address, as pymavlink or MAVSDK spell it"
+    )
+    where.add_argument(
+        "--sitl", metavar="FIRMWARE", help="start the bundled stub: px4, px4-1.13 or ardupilot"
+    )
+    parser.add_argument(
+        "--sitl-options", default="", metavar="WORDS", help="further options of sitl-stub, in quotes"
+    )
+    parser.add_argument(
+        "--real-time", action="store_true", help="run the stub in real time instead of lockstep"
+    )
+    parser.add_argument(
+        "--level", default="attitude", choices=("attitude", "body_rate", "actuator"), help="what is sent"
+    )
+    parser.add_argument(
+        "--trajectory", default="lemniscate", metavar="NAME|FILE", help="see docs/trajectories.md"
+    )
+    parser.add_argument(
+        "--frame", default="takeoff", choices=("takeoff", "local"), help="where the trajectory is laid out"
+    )
+    parser.add_argument(
+        "--duration", type=float, default=40.0, metavar="S", help="tracking time (default 40)"
+    )
+    parser.add_argument("--profile", default="qball2", metavar="NAME|FILE", help="vehicle profile (TOML)")
+    parser.add_argument(
+        "--set",
+        dest="overrides",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="change a setting, e.g. profile.mass_ratio=1.0",
+    )
+    parser.add_argument("--arm", action="store_true", help="let the companion arm a real vehicle")
+    parser.add_argument("--wait-for-offboard", action="store_true", help="leave the mode switch to the pilot")
+    parser.add_argument(
+        "--fix", action="store_true", help="set parameters that stand in the way, put them back on landing"
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Fly once. Raises UserError for wrong input."""
+    log_path = (
+        Path(arguments.log) if arguments.log else default_log_path(arguments.controller, arguments.level)
+    )
+    outcome, text, code = fly_once(
+        arguments, arguments.controller, arguments.seed, log_path, arguments.overwrite
+    )
+    print(f"{outcome}: {text}", file=sys.stderr)
+    report = _report_path(arguments.report, log_path)
+    _show(log_path, report, arguments.json, outcome, text)
+    return code
+
+
+def default_log_path(controller: str, level: str) -> Path:
+    """A new file below `flights/`, named by UTC time, law and level."""
+    now = datetime.datetime.now(datetime.UTC)
+    return Path("flights") / f"{now:%Y%m%d-%H%M%S}-{controller}-{level}.mcap"
+
+
+def fly_once(
+    arguments: argparse.Namespace, controller: str, seed: int, log_path: Path, overwrite: bool
+) -> tuple[str, str, int]:
+    """One flight with the shared options; returns outcome, text and exit code."""
+    from companion.cli.console import ConsoleReporter
+    from companion.cli.sitl import FIRMWARES, running_stub
+    from companion.config.settings import load_settings
+    from companion.flight.session import SessionOptions, fly
+    from companion.mavlink.endpoint import parse_endpoint
+
+    settings = load_settings(
+        arguments.profile,
+        {
+            "controller": controller,
+            "level": arguments.level,
+            "trajectory": arguments.trajectory,
+            "layout": arguments.frame,
+            "seed": seed,
+            "duration_s": arguments.duration,
+        },
+        arguments.overrides,
+    )
+    if arguments.sitl and arguments.sitl not in FIRMWARES:
+        raise UserError(f"--sitl {arguments.sitl}: the bundled stub has {', '.join(FIRMWARES)}")
+    reporter = ConsoleReporter()
+    stub_words = shlex.split(arguments.sitl_options) + ([] if arguments.real_time else ["--lockstep"])
+    simulator = (
+        running_stub(arguments.sitl, seed, stub_words) if arguments.sitl else nullcontext(arguments.endpoint)
+    )
+    with simulator as address:
+        options = SessionOptions(
+            endpoint=parse_endpoint(address),
+            log_path=log_path,
+            overwrite=overwrite,
+            may_arm=arguments.arm,
+            fix=arguments.fix,
+            wait_for_offboard=arguments.wait_for_offboard,
+            command_line=shlex.join(sys.argv),
+        )
+        try:
+            result = fly(settings, options, reporter)
+        finally:
+            reporter.close()
+    return result.outcome.value, result.text, result.outcome.exit_code
+
+
+def _report_path(wish: str | None, log_path: Path) -> Path | None:
+    if wish is None:
+        return None
+    return Path(wish) if wish else log_path.with_suffix(".html")
+
+
+def _show(log_path: Path, report: Path | None, as_json: bool, outcome: str, text: str) -> None:
+    """The table or the JSON, from the log file itself; a flight without tracking says so instead."""
+    from companion.analysis.metrics import flight_metrics
+    from companion.analysis.table import flight_table
+    from companion.flightlog.reader import read_log
+
+    record = read_log(log_path)
+    try:
+        metrics, tracking = flight_metrics(record, None, None)
+    except UserError as error:
+        if as_json:
+            print(json.dumps({"ended": outcome, "text": text, "log": str(log_path)}, indent=2))
+        else:
+            print(f"no table: {error}\nlog: {log_path}", file=sys.stderr)
+        return
+    if report is not None:
+        from companion.analysis.report import write_flight_report
+
+        write_flight_report(record, metrics, tracking, report)
+    if as_json:
+        body = {**metrics.to_json(), "text": text, "log": str(log_path)}
+        if report is not None:
+            body["report"] = str(report)
+        print(json.dumps(body, indent=2, ensure_ascii=False, allow_nan=False))
+        return
+    from rich.console import Console
+
+    console = Console()
+    console.print(flight_table(metrics))
+    console.print(f"log:    {log_path}", soft_wrap=True, highlight=False)
+    if report is not None:
+        console.print(f"report: {report}", soft_wrap=True, highlight=False)

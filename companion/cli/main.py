@@ -1,0 +1,47 @@
+"""The command `companion`: finds the subcommand, turns errors of the user into one line and exit code 2."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+from collections.abc import Sequence
+
+from companion.config.errors import UserError
+
+COMMANDS = ("fly", "analyze", "recover", "export")
+"""Each is a module of this package with `add_parser(subparsers)` and `run(arguments) -> int`."""
+
+_EPILOG = """examples:
+  companion fly --sitl px4                             fly the bundled stub, nothing else needed
+  companion fly --endpoint udpin:0.0.0.0:14540         fly PX4's own simulation
+  companion check --endpoint /dev/ttyACM0,921600       look at a real vehicle, change nothing
+  companion analyze flights/last.mcap                  how well it flew
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="companion",
+        description="Flies PX4 and ArduPilot multirotors over MAVLink from a companion computer.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for name in COMMANDS:
+        importlib.import_module(f"companion.cli.{name}").add_parser(subparsers)
+    parsed = parser.parse_args(arguments)
+    try:
+        return int(importlib.import_module(f"companion.cli.{parsed.command}").run(parsed))
+    except UserError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except BrokenPipeError:
+        return 0
+    except KeyboardInterrupt:
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

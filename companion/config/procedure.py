@@ -1,0 +1,61 @@
+"""How a flight is conducted and what ends it: everything that is neither the vehicle nor a gain nor a trajectory."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from companion.config.model import NotNegative, Positive, SettingsModel
+
+
+class SafetyLimits(SettingsModel):
+    """Limits of the supervisor; each ends our control and lets the autopilot land."""
+
+    tilt_deg: float = Field(default=50.0, ge=5.0, le=80.0)
+    """Tilt of the vehicle."""
+    tilt_duration_s: NotNegative = 0.3
+    """For how long the tilt may be exceeded, s."""
+    position_error_m: Positive = 1.5
+    """Distance from the reference, m."""
+    position_error_duration_s: NotNegative = 0.5
+    """For how long the distance may be exceeded, s."""
+    fence_radius_m: Positive = 30.0
+    """Horizontal distance from the place of take-off, m."""
+    fence_height_m: Positive = 20.0
+    """Height above the place of take-off, m."""
+    position_age_s: float = Field(default=0.4, gt=0.0, le=0.5)
+    """Age of the newest position message, s; from half of it on the adaptation is frozen."""
+    silence_s: Positive = 3.0
+    """Silence of the whole link, on our clock, before it is given up, s."""
+
+
+class Procedure(SettingsModel):
+    """Waiting times, lift-off, and the way to the trajectory and back."""
+
+    connect_timeout_s: Positive = 30.0
+    """For the autopilot's first HEARTBEAT, our clock, s."""
+    ready_timeout_s: Positive = 120.0
+    """Until the autopilot can be armed, its clock, s; ArduPilot takes 42 s from power-up."""
+    pilot_timeout_s: Positive = 600.0
+    """For the pilot to arm or to switch, where that is theirs, s."""
+    prove_s: float = Field(default=1.5, ge=1.0)
+    """Idle setpoints before the mode change, s; PX4 wants to have seen them for 1 s."""
+    lift_off_start: float = Field(default=0.3, ge=0.0, lt=1.0)
+    """Thrust at which the rise to lift-off begins, in hover thrusts."""
+    lift_off_rate: Positive = 0.5
+    """Rise of thrust at lift-off, hover thrusts per second."""
+    lift_off_limit: float = Field(default=0.9, gt=0.0, le=1.0)
+    """Normalised thrust at which lift-off is given up."""
+    lift_off_height_m: Positive = 0.08
+    """Height above the ground that, with `lift_off_speed_m_s`, means the vehicle flies, m."""
+    lift_off_speed_m_s: Positive = 0.15
+    """Upward speed that goes with that height, m/s."""
+    hold_s: NotNegative = 5.0
+    """Standing still before the run-in, s."""
+    transit_speed_m_s: Positive = 0.8
+    """Speed limit of everything but the trajectory itself, m/s."""
+    transit_acceleration_m_s2: Positive = 0.8
+    """Acceleration limit likewise, m/s²."""
+    transit_jerk_m_s3: Positive = 2.0
+    """Jerk limit likewise, m/s³."""
+    land_timeout_s: Positive = 60.0
+    """For the autopilot to land and disarm, s."""

@@ -1,0 +1,554 @@
+"""One flight from the first HEARTBEAT to the last word: the phases in order, and what happens when one breaks off."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.autopilot.adapter import ARM, DISARM, Finding, Intent, Verdict
+from companion.config.settings import FlightSettings
+from companion.control.structs import ControlLevel, Reference
+from companion.flight.control_loop import ControlLoop, at_rest, level_with_heading, yaw_of
+from companion.flight.outcome import (
+    Aborted,
+    FlightEnd,
+    HandedBack,
+    Interrupted,
+    LinkLost,
+    Outcome,
+    PilotTookOver,
+    Refused,
+    WaitedTooLong,
+)
+from companion.flight.phases import Phase
+from companion.flight.plan import FlightPlan, lay_out
+from companion.flight.recorder import Recorder
+from companion.flight.supervisor import Supervisor
+from companion.flight.vehicle import Vehicle
+from companion.mavlink.link import Message, mav
+from companion.mavlink.protocol import message_interval, request_message
+from companion.reference.trajectory import Frame, Trajectory, place
+from companion.reference.transit import TransitLimits
+
+_PROGRESS_S = 1.0
+_STREAM_SHARE = 0.7  # of the rate asked for; below it the level is not flown
+
+
+@dataclass(frozen=True, slots=True)
+class FlightRequest:
+    """What is asked of a flight."""
+
+    level: ControlLevel
+    trajectory: Trajectory  # in its own axes
+    frame: Frame
+    duration_s: float  # of tracking
+    may_arm: bool  # whether we may arm a vehicle that is not a simulation
+    fix: bool  # whether parameters that stand in the way may be set for the flight
+    wait_for_offboard: bool  # whether the mode switch is the pilot's
+
+
+@dataclass(frozen=True, slots=True)
+class FlightResult:
+    """How it ended."""
+
+    outcome: Outcome
+    text: str
+
+
+class Interrupts:
+    """Counts requests to stop (Ctrl-C, SIGTERM); set from a signal handler, read by the flight."""
+
+    ONE_WISH_S = 0.5
+    """Signals closer than this are one wish: `timeout` and some terminals send theirs twice."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._last_s = -math.inf
+
+    def ask(self, now_s: float) -> None:
+        """Note a request made at `now_s` (any clock)."""
+        if now_s - self._last_s > self.ONE_WISH_S:
+            self.count += 1
+        self._last_s = now_s
+
+
+class Reporter:
+    """Where a flight says what it does. The base class says nothing."""
+
+    def say(self, text: str) -> None:
+        """One line worth keeping."""
+
+    def progress(self, phase: Phase, time_s: float, of_s: float, text: str) -> None:
+        """Where we are, about once a second."""
+
+    def finding(self, finding: Finding) -> None:
+        """One preflight check."""
+
+
+class Flight:
+    """See the module. `make_loop` builds the control loop once the autopilot is known."""
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        request: FlightRequest,
+        settings: FlightSettings,
+        recorder: Recorder,
+        reporter: Reporter,
+        interrupts: Interrupts,
+        make_loop: Callable[[Vehicle], ControlLoop],
+        check_plan: Callable[[FlightPlan, float], None],
+    ) -> None:
+        self._vehicle = vehicle
+        self._request = request
+        self._settings = settings
+        self._recorder = recorder
+        self._reporter = reporter
+        self._interrupts = interrupts
+        self._make_loop = make_loop
+        self._check_plan = check_plan
+        self._loop: ControlLoop
+        self._plan: FlightPlan | None = None
+        self._engaged = False  # our mode was confirmed and we count on it
+        self._airborne = False
+        self._answered_interrupts = 0
+        self._announced_mode = -1
+        self._announced_armed = False
+        self._next_progress_s = -math.inf
+        self._restore: list[tuple[str, float]] = []
+        self.phase = Phase.CONNECT
+
+    def run(self) -> FlightResult:
+        """Fly. Always returns, with the vehicle in the safest state that could be reached.
+
+        Raises:
+            UserError: nothing to fly was found at the endpoint.
+        """
+        self._vehicle.watch = self._watch
+        try:
+            self._enter(Phase.CONNECT)
+            self._vehicle.connect(self._settings.procedure.connect_timeout_s)
+            self._vehicle.on_message = self._on_message
+            self._prepare()
+            self._take_off()
+            self._follow_plan()
+            self._land("the plan is flown")
+            result = FlightResult(Outcome.COMPLETED, "flown as planned, landed and disarmed")
+        except FlightEnd as end:
+            result = self._end_safely(end)
+        except WaitedTooLong as waited:
+            result = self._end_safely(Aborted(str(waited)) if self._engaged else Refused(str(waited)))
+        self._put_parameters_back(result)
+        self._recorder.log.event(
+            "ended", self._vehicle.link.autopilot_time_s, outcome=result.outcome.value, text=result.text
+        )
+        return result
+
+    # Before the flight --------------------------------------------------------------------------------
+
+    def _prepare(self) -> None:
+        vehicle, reporter = self._vehicle, self._reporter
+        version = ".".join(map(str, vehicle.version))
+        reporter.say(f"{vehicle.adapter.name} {version}, system {vehicle.link.target_system}")
+        self._enter(Phase.CHECK)
+        vehicle.read_parameters(vehicle.adapter.parameters_needed())
+        self._loop = self._make_loop(vehicle)
+        findings = vehicle.adapter.check(vehicle.parameters.values, self._request.level, vehicle.version)
+        if self._request.fix:
+            findings = self._fix(findings)
+        for finding in findings:
+            reporter.finding(finding)
+        refusals = [f for f in findings if f.verdict is Verdict.REFUSAL]
+        if refusals:
+            raise Refused("; ".join(f"{f.subject} {f.found}: {f.why}: {f.remedy}" for f in refusals))
+        self._ask_for_streams()
+        self._enter(Phase.READY)
+        vehicle.on_state = self._loop.on_state
+        self._wait_until_ready()
+
+    def _fix(self, findings: list[Finding]) -> list[Finding]:
+        vehicle = self._vehicle
+        for finding in findings:
+            if finding.fix is None:
+                continue
+            name, value = finding.fix
+            before = vehicle.parameters.values[name]
+            if vehicle.set_parameter(name, value):
+                self._restore.append((name, before))
+                self._reporter.say(f"set {name} from {before:g} to {value:g} for this flight")
+                self._recorder.log.event(
+                    "parameter", vehicle.link.autopilot_time_s, name=name, before=before, value=value
+                )
+        return vehicle.adapter.check(vehicle.parameters.values, self._request.level, vehicle.version)
+
+    def _ask_for_streams(self) -> None:
+        vehicle = self._vehicle
+        rate_hz = self._settings.rate_hz
+        streams = {
+            mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED: min(rate_hz, 100.0),
+            mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: rate_hz,
+        }
+        for message_id, rate in streams.items():
+            if not vehicle.ask_for_stream(message_id, rate):
+                self._reporter.say(
+                    f"the autopilot refused message {message_id} at {rate:g} Hz; using what it sends"
+                )
+        wished = {
+            mav.MAVLINK_MSG_ID_ATTITUDE_TARGET: 50.0,
+            mav.MAVLINK_MSG_ID_SYS_STATUS: 2.0,
+            mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
+            mav.MAVLINK_MSG_ID_CURRENT_MODE: 10.0,
+            vehicle.adapter.truth_message_id: 50.0,
+            vehicle.adapter.estimator_message_id: 2.0,
+        }
+        for message_id, rate in wished.items():
+            vehicle.command(message_interval(message_id, rate))  # nice to have: a refusal is an answer
+        vehicle.command(request_message(mav.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN))
+
+    def _wait_until_ready(self) -> None:
+        vehicle, settings = self._vehicle, self._settings
+        started_s = vehicle.link.autopilot_time_s
+        told: list[str] = []
+
+        def ready() -> bool:
+            nonlocal told
+            reasons = vehicle.adapter.not_ready(vehicle.status)
+            if vehicle.state is None:
+                reasons.append("no local position yet")
+            if reasons != told and reasons:
+                self._reporter.say("waiting: " + ", ".join(reasons))
+            told = reasons
+            return not reasons
+
+        try:
+            vehicle.until(ready, settings.procedure.ready_timeout_s, "getting ready")
+        except WaitedTooLong:
+            raise Refused(
+                f"not ready after {settings.procedure.ready_timeout_s:.0f} s: {', '.join(told)}"
+                + self._last_texts()
+            ) from None
+        self._measure_streams()
+        waited_s = vehicle.link.autopilot_time_s - started_s
+        self._reporter.say(
+            f"ready after {waited_s:.1f} s; link {vehicle.link.timesync.round_trip_s * 1e3:.1f} ms round trip"
+        )
+
+    def _measure_streams(self) -> None:
+        """One second of states: are they as many as the level needs?"""
+        vehicle, level = self._vehicle, self._request.level
+        started_s = vehicle.link.autopilot_time_s
+        count = 0
+        on_state = vehicle.on_state
+
+        def counting(state: object) -> None:
+            nonlocal count
+            count += 1
+
+        vehicle.on_state = counting
+        vehicle.until(lambda: vehicle.link.autopilot_time_s - started_s >= 1.0, 5.0, "measuring streams")
+        vehicle.on_state = on_state
+        rate_hz = count / (vehicle.link.autopilot_time_s - started_s)
+        wanted_hz = self._settings.rate_hz
+        self._reporter.say(f"{rate_hz:.0f} states a second (asked for {wanted_hz:.0f})")
+        if rate_hz < level.minimum_rate_hz:
+            raise Refused(
+                f"{rate_hz:.0f} states a second arrive, level {level.value} needs {level.minimum_rate_hz:.0f}: "
+                "raise the link's rate (PX4: MAV_n_RATE, baud rate) or fly a higher level"
+            )
+        if rate_hz < _STREAM_SHARE * wanted_hz:
+            self._reporter.say(
+                f"warning: only {rate_hz:.0f} of {wanted_hz:.0f} states a second; tracking will be worse"
+            )
+
+    # Into the air --------------------------------------------------------------------------------------
+
+    def _take_off(self) -> None:
+        vehicle, settings, loop = self._vehicle, self._settings, self._loop
+        ground = self._ground()
+        self._plan = self._lay_out(ground, ground)
+        self._check_plan(self._plan, float(ground.position_enu[2]))
+        level = level_with_heading(ground.yaw_rad)
+        self._enter(Phase.PROVE)
+        loop.idle(level)
+        started_s = vehicle.link.autopilot_time_s
+        vehicle.until(lambda: vehicle.link.autopilot_time_s - started_s >= settings.procedure.prove_s)
+        self._enter(Phase.ENGAGE)
+        self._engage()
+        self._enter(Phase.ARM)
+        self._arm()
+        ground = self._ground()
+        self._enter(Phase.LIFT_OFF)
+        assert vehicle.state is not None
+        loop.idle(level_with_heading(ground.yaw_rad))
+        loop.lift_off(vehicle.state.time_s, vehicle.adapter.spool_time_s)
+        vehicle.until(lambda: self._left(ground), vehicle.adapter.spool_time_s + 15.0, "lift-off")
+        self._airborne = True
+        state = vehicle.state
+        start = at_rest(state.position_enu, ground.yaw_rad)
+        self._plan = self._lay_out(ground, start)
+        self._reporter.say(
+            f"off the ground at thrust {loop.lift_off_thrust:.2f}; flying {self._plan.duration_s:.0f} s"
+        )
+        track = self._plan.leg(Phase.TRACK)
+        moments = np.linspace(0.0, track.duration_s, 200)
+        self._recorder.log.path_enu(
+            "trajectory",
+            vehicle.link.autopilot_time_s,
+            np.array([track.trajectory.sample(float(t)).position_enu for t in moments]),
+        )
+        loop.follow(self._plan, Supervisor(settings.safety, ground.position_enu), state)
+
+    def _ground(self) -> Reference:
+        state = self._vehicle.state
+        assert state is not None
+        return at_rest(state.position_enu, yaw_of(state.quaternion_wxyz))
+
+    def _left(self, ground: Reference) -> bool:
+        state, settings = self._vehicle.state, self._settings
+        assert state is not None
+        height_m = float(state.position_enu[2] - ground.position_enu[2])
+        rising = float(state.velocity_enu[2]) > settings.procedure.lift_off_speed_m_s
+        return (
+            height_m > settings.procedure.lift_off_height_m and rising
+        ) or height_m > 3.0 * settings.procedure.lift_off_height_m
+
+    def _lay_out(self, ground: Reference, start: Reference) -> FlightPlan:
+        settings, request = self._settings, self._request
+        trajectory = place(request.trajectory, request.frame, ground.position_enu, ground.yaw_rad)
+        limits = TransitLimits(
+            speed_m_s=settings.procedure.transit_speed_m_s,
+            acceleration_m_s2=settings.procedure.transit_acceleration_m_s2,
+            jerk_m_s3=settings.procedure.transit_jerk_m_s3,
+            height_min_m=float(ground.position_enu[2]) + 0.25,
+        )
+        return lay_out(
+            start,
+            trajectory,
+            request.duration_s,
+            settings.procedure.hold_s,
+            float(ground.position_enu[2]) + settings.takeoff_height_m,
+            limits,
+        )
+
+    def _engage(self) -> None:
+        vehicle = self._vehicle
+
+        def external() -> bool:
+            return vehicle.adapter.is_mode(vehicle.status.custom_mode, Intent.EXTERNAL)
+
+        if self._request.wait_for_offboard:
+            self._reporter.say("waiting for the pilot to switch to offboard")
+            vehicle.until(external, self._settings.procedure.pilot_timeout_s, "the pilot's mode switch")
+        else:
+            for _ in range(3):
+                result = vehicle.command(vehicle.adapter.mode(Intent.EXTERNAL))
+                try:
+                    vehicle.until(external, 2.5)
+                    break
+                except WaitedTooLong:
+                    continue
+            else:
+                raise Refused(
+                    f"the autopilot did not change to our mode ({vehicle.result_word(result)}; it is in "
+                    f"{vehicle.adapter.mode_name(vehicle.status.custom_mode)})" + self._last_texts()
+                )
+        self._engaged = True
+
+    def _arm(self) -> None:
+        vehicle = self._vehicle
+        if not (self._request.may_arm or self._recorder.truth_seen):
+            self._reporter.say("waiting for the pilot to arm (--arm lets the companion do it)")
+            vehicle.until(
+                lambda: vehicle.status.armed, self._settings.procedure.pilot_timeout_s, "the pilot's arming"
+            )
+            return
+        result: int | None = None
+        for _ in range(10):
+            if vehicle.status.armed:
+                return
+            result = vehicle.command(ARM)
+            try:
+                vehicle.until(lambda: vehicle.status.armed, 1.5)
+                return
+            except WaitedTooLong:
+                continue
+        raise Refused(f"the autopilot did not arm ({vehicle.result_word(result)})" + self._last_texts())
+
+    # In the air ----------------------------------------------------------------------------------------
+
+    def _follow_plan(self) -> None:
+        assert self._plan is not None
+        loop, plan = self._loop, self._plan
+        for leg in plan.legs:
+            self._enter(leg.phase)
+            tracking = leg.phase is Phase.TRACK
+            if tracking:
+                self._recorder.log.event("tracking", self._vehicle.link.autopilot_time_s, active=True)
+            self._vehicle.until(lambda end=leg.start_s + leg.duration_s: loop.plan_time_s >= end)  # type: ignore[misc]
+            if tracking:
+                self._recorder.log.event("tracking", self._vehicle.link.autopilot_time_s, active=False)
+
+    def _land(self, why: str) -> None:
+        """Let the autopilot land and wait until it has disarmed."""
+        vehicle = self._vehicle
+        self._enter(Phase.LAND)
+        self._reporter.say(f"landing: {why}")
+        self._engaged = False
+        result: int | None = None
+        for _ in range(3):
+            result = vehicle.command(vehicle.adapter.mode(Intent.LAND))
+            try:
+                vehicle.until(self._not_ours, 2.5)
+                break
+            except WaitedTooLong:
+                continue
+        else:
+            raise HandedBack(
+                f"the autopilot did not take LAND ({vehicle.result_word(result)}); our setpoints stop, "
+                "so its own offboard-loss action brings it down" + self._last_texts()
+            )
+        self._loop.stop()
+        vehicle.until(lambda: not vehicle.status.armed, self._settings.procedure.land_timeout_s, "landing")
+        self._enter(Phase.DONE)
+
+    def _not_ours(self) -> bool:
+        status = self._vehicle.status
+        return not self._vehicle.adapter.is_mode(status.custom_mode, Intent.EXTERNAL) or not status.armed
+
+    # Watching ------------------------------------------------------------------------------------------
+
+    def _watch(self) -> None:
+        """Called before every message: the user's wish to stop, and the pilot's."""
+        if self._interrupts.count > self._answered_interrupts:
+            self._answered_interrupts = self._interrupts.count
+            if self._interrupts.count > 1:
+                raise HandedBack("interrupted again: handed back to the autopilot at once")
+            raise Interrupted("interrupted")
+        if not self._engaged:
+            return
+        vehicle = self._vehicle
+        if not vehicle.adapter.is_mode(vehicle.status.custom_mode, Intent.EXTERNAL):
+            raise PilotTookOver(f"mode is now {vehicle.adapter.mode_name(vehicle.status.custom_mode)}")
+        if self._airborne and not vehicle.status.armed:
+            raise PilotTookOver("disarmed in flight")
+
+    def _on_message(self, message: Message) -> None:
+        vehicle, log = self._vehicle, self._recorder.log
+        now_s = vehicle.link.autopilot_time_s
+        kind = message.get_msgId()
+        if kind == mav.MAVLINK_MSG_ID_STATUSTEXT:
+            log.event("status_text", now_s, severity=message.severity, text=str(message.text))
+            if message.severity <= mav.MAV_SEVERITY_WARNING:
+                self._reporter.say(f"autopilot: {message.text}")
+        elif kind == mav.MAVLINK_MSG_ID_COMMAND_ACK:
+            log.event("ack", now_s, command=message.command, result=message.result)
+        self._recorder.truth(message, vehicle.adapter, vehicle.status, now_s)
+        status = vehicle.status
+        if status.custom_mode != self._announced_mode:
+            self._announced_mode = status.custom_mode
+            log.event("mode", now_s, mode=vehicle.adapter.mode_name(status.custom_mode))
+        if status.armed != self._announced_armed:
+            self._announced_armed = status.armed
+            log.event("armed", now_s, armed=status.armed)
+        if now_s >= self._next_progress_s:
+            self._next_progress_s = now_s + _PROGRESS_S
+            self._report_progress()
+
+    def _report_progress(self) -> None:
+        vehicle, plan = self._vehicle, self._plan
+        if self._airborne and plan is not None and self._engaged:
+            error_m = float(np.linalg.norm(self._loop.position_error_enu))
+            time_s = self._loop.plan_time_s
+            self._reporter.progress(self.phase, time_s, plan.duration_s, f"error {error_m * 100:.1f} cm")
+        timesync = vehicle.link.timesync
+        if hasattr(self, "_loop"):
+            self._recorder.estimates(
+                vehicle.link.autopilot_time_s,
+                self._loop.hover_thrust,
+                timesync.offset_s,
+                timesync.round_trip_s,
+                self._loop.state_delay_s,
+                vehicle.status,
+            )
+
+    def _enter(self, phase: Phase) -> None:
+        self.phase = phase
+        self._recorder.log.event("phase", self._vehicle.link.autopilot_time_s, phase=phase.value)
+        self._reporter.progress(phase, math.nan, math.nan, "")
+
+    def _last_texts(self) -> str:
+        texts = [
+            text for severity, text in self._vehicle.status.texts if severity <= mav.MAV_SEVERITY_WARNING
+        ]
+        return f"; it says: {' / '.join(texts[-3:])}" if texts else ""
+
+    # Ending early ---------------------------------------------------------------------------------------
+
+    def _end_safely(self, end: FlightEnd) -> FlightResult:
+        """Bring the vehicle into the safest state that `end` allows, and say how it went."""
+        self._recorder.log.event(
+            "safety", self._vehicle.link.autopilot_time_s, reaction=end.outcome.value, reason=str(end)
+        )
+        self._reporter.say(f"{end.outcome.value}: {end}")
+        try:
+            return self._bring_down(end)
+        except FlightEnd as another:
+            if not isinstance(another, LinkLost):
+                self._hand_back()
+            return FlightResult(another.outcome, f"{end}; then {another}")
+        except WaitedTooLong as waited:
+            return FlightResult(end.outcome, f"{end}; then {waited}")
+
+    def _bring_down(self, end: FlightEnd) -> FlightResult:
+        engaged, self._engaged = self._engaged, False
+        if isinstance(end, Refused) or (
+            not self._airborne and not isinstance(end, (LinkLost, PilotTookOver))
+        ):
+            return self._stay_down(end, engaged)
+        if isinstance(end, (Interrupted, Aborted)):
+            if isinstance(end, Aborted):
+                self._loop.stop()
+            self._land(str(end))
+            return FlightResult(end.outcome, f"{end}; landed and disarmed")
+        if hasattr(self, "_loop"):
+            self._loop.stop()
+        if isinstance(end, PilotTookOver):
+            self._enter(Phase.WATCH)
+            self._reporter.say("no more setpoints; logging until the vehicle is disarmed (Ctrl-C ends it)")
+            vehicle = self._vehicle
+            try:
+                vehicle.until(lambda: not vehicle.status.armed)
+            except (Interrupted, HandedBack, LinkLost):
+                return FlightResult(end.outcome, f"{end}; not watched to the end")
+            return FlightResult(end.outcome, f"{end}; disarmed later")
+        if isinstance(end, HandedBack):
+            self._hand_back()
+        return FlightResult(end.outcome, str(end))
+
+    def _stay_down(self, end: FlightEnd, engaged: bool) -> FlightResult:
+        """On the ground: disarm if it was us who armed, and leave our mode."""
+        if hasattr(self, "_loop"):
+            self._loop.stop()
+        if engaged:
+            if self._vehicle.status.armed:
+                self._vehicle.command(DISARM)
+            self._vehicle.command(self._vehicle.adapter.mode(Intent.HOLD))
+        return FlightResult(end.outcome, str(end))
+
+    def _hand_back(self) -> None:
+        """One HOLD command, no waiting: what follows is the autopilot's."""
+        if hasattr(self, "_loop"):
+            self._loop.stop()
+        self._vehicle.commands.send(self._vehicle.adapter.mode(Intent.HOLD))
+
+    def _put_parameters_back(self, result: FlightResult) -> None:
+        if self._restore and result.outcome is not Outcome.LINK_LOST and not self._vehicle.status.armed:
+            for name, value in reversed(self._restore):
+                self._vehicle.watch = lambda: None
+                if self._vehicle.set_parameter(name, value):
+                    self._reporter.say(f"put {name} back to {value:g}")
+                else:
+                    self._reporter.say(f"warning: could not put {name} back to {value:g}; do it by hand")

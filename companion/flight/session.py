@@ -1,0 +1,191 @@
+"""A whole flight put together: link, log, control law, flight. What `companion fly` and `companion compare` call."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import platform
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+
+import numpy as np
+
+from companion.autopilot.thrust import ThrustScale, mixer_of
+from companion.config.settings import Settings
+from companion.control.law import ControlLaw
+from companion.control.prediction import Predictor
+from companion.control.registry import build_law
+from companion.control.structs import Vector
+from companion.flight import realtime
+from companion.flight.control_loop import ControlLoop
+from companion.flight.flight import Flight, FlightRequest, FlightResult, Interrupts, Reporter
+from companion.flight.phases import Phase
+from companion.flight.plan import FlightPlan
+from companion.flight.recorder import Recorder
+from companion.flight.vehicle import Vehicle
+from companion.flightlog.writer import FlightLog
+from companion.mavlink.endpoint import Endpoint
+from companion.mavlink.link import Link
+from companion.mavlink.transport import open_transport
+from companion.reference.feasibility import VehicleLimits, check_feasibility
+from companion.reference.registry import trajectory_from_text
+from companion.reference.trajectory import Frame
+
+_PACKAGES = ("dtlannc-companion", "numpy", "numba", "pymavlink", "mcap")
+
+
+@dataclass(frozen=True, slots=True)
+class SessionOptions:
+    """What a flight needs beside its settings."""
+
+    endpoint: Endpoint
+    log_path: Path
+    overwrite: bool = False
+    may_arm: bool = False
+    fix: bool = False
+    wait_for_offboard: bool = False
+    command_line: str = ""
+
+
+def fly(settings: Settings, options: SessionOptions, reporter: Reporter) -> FlightResult:
+    """Fly once, log it, and say how it ended.
+
+    Raises:
+        UserError: the flight could not begin for a reason that the user can mend.
+    """
+    trajectory = trajectory_from_text(settings.flight.trajectory)
+    _law(settings, None).warm_up()  # seconds, so before anything is listening to us
+    transport = open_transport(options.endpoint)
+    link = Link(transport)
+    try:
+        with FlightLog(
+            options.log_path,
+            metadata={"controller": settings.flight.controller, "level": settings.level.value},
+            attachments={"settings.json": json.dumps(settings.as_tables(), indent=1, sort_keys=True)},
+            overwrite=options.overwrite,
+        ) as log:
+            log.metadata("versions", _versions())
+            log.metadata("wall", {"endpoint": str(options.endpoint), "command": options.command_line})
+            recorder = Recorder(log)
+            link.tap = recorder.frame
+            vehicle = Vehicle(link, settings.flight.safety.silence_s)
+            request = FlightRequest(
+                level=settings.level,
+                trajectory=trajectory,
+                frame=Frame(settings.flight.layout),
+                duration_s=settings.flight.duration_s,
+                may_arm=options.may_arm,
+                fix=options.fix,
+                wait_for_offboard=options.wait_for_offboard,
+            )
+
+            def make_loop(known: Vehicle) -> ControlLoop:
+                return _control_loop(settings, known, recorder, reporter)
+
+            def check_plan(plan: FlightPlan, ground_m: float) -> None:
+                _check_plan(settings, plan, ground_m)
+
+            with _signals(Interrupts()) as interrupts:
+                flight = Flight(
+                    vehicle, request, settings.flight, recorder, reporter, interrupts, make_loop, check_plan
+                )
+                return flight.run()
+    finally:
+        link.close()
+
+
+def _control_loop(
+    settings: Settings, vehicle: Vehicle, recorder: Recorder, reporter: Reporter
+) -> ControlLoop:
+    """Build everything that depends on which autopilot it is, and warm it up."""
+    profile, adapter = settings.profile, vehicle.adapter
+    law = _law(settings, adapter.profile_key)
+    for warning in law.warnings:
+        reporter.say(f"warning: {warning}")
+        recorder.log.event("warning", vehicle.link.autopilot_time_s, text=warning)
+    hover = vehicle.parameters.values.get(adapter.hover_thrust_parameter, profile.hover_thrust)
+    arms = profile.rotors.arms_m
+    thrust = ThrustScale(
+        hover_thrust=hover,
+        mass_kg=profile.mass_kg,
+        rotor_max_newton=profile.rotors.thrust_max_newton,
+        mixer=mixer_of(np.column_stack((arms, np.zeros(len(arms)))), profile.rotors.spins),
+    )
+    recorder.define_law(law.hidden)
+    firmware = f"{adapter.name} {'.'.join(map(str, vehicle.version))}"
+    recorder.log.metadata(
+        "flight",
+        {
+            "controller": law.name,
+            "level": law.level.value,
+            "firmware": firmware,
+            "profile": profile.name,
+            "mass_ratio": profile.mass_ratio,
+            "seed": law.seed,
+            "trajectory": settings.flight.trajectory,
+        },
+    )
+    recorder.log.metadata("parameters", vehicle.parameters.values)
+    predictor = Predictor(profile, settings.level, adapter.profile_key)
+    for line in realtime.prepare():
+        reporter.say(line)
+    return ControlLoop(vehicle, law, predictor, thrust, settings.flight, recorder)
+
+
+def _law(settings: Settings, autopilot: str | None) -> ControlLaw:
+    flight = settings.flight
+    return build_law(
+        flight.controller, settings.gains, settings.profile, settings.level, flight.seed, autopilot=autopilot
+    )
+
+
+def _check_plan(settings: Settings, plan: FlightPlan, ground_m: float) -> None:
+    """Refuse a trajectory that the vehicle cannot fly, before anything is armed (UserError)."""
+    profile, leg = settings.profile, plan.leg(Phase.TRACK)
+    arm_m = float(np.max(np.abs(profile.rotors.arms_m)))
+    torque = profile.rotors.thrust_max_newton * arm_m
+    acceleration: Vector = torque / np.asarray(profile.inertia_kg_m2)
+    rates = np.radians(profile.limits.body_rate_max_deg_s)
+    limits = VehicleLimits(
+        mass_kg=profile.mass_kg,
+        thrust_min_newton=profile.limits.thrust_min_ratio * profile.thrust_available_newton,
+        thrust_max_newton=profile.limits.thrust_max_ratio * profile.thrust_available_newton,
+        tilt_max_rad=profile.tilt_max_rad,
+        body_rate_max_rad_s=tuple(rates.tolist()),
+        angular_acceleration_max_rad_s2=tuple(acceleration.tolist()),
+        height_min_m=ground_m + 0.1,
+        height_max_m=ground_m + settings.flight.safety.fence_height_m,
+    )
+    check_feasibility(leg.trajectory, limits, leg.duration_s).require(settings.flight.trajectory)
+
+
+@contextmanager
+def _signals(interrupts: Interrupts) -> Iterator[Interrupts]:
+    """Ctrl-C and SIGTERM ask the flight to stop; a closed terminal (SIGHUP) is none of its business."""
+
+    def ask(_signal: int, _frame: FrameType | None) -> None:
+        interrupts.ask(time.monotonic())
+
+    wanted = {signal.SIGINT: ask, signal.SIGTERM: ask, signal.SIGHUP: signal.SIG_IGN}
+    before = {number: signal.signal(number, handler) for number, handler in wanted.items()}  # type: ignore[arg-type]
+    try:
+        yield interrupts
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _versions() -> dict[str, str]:
+    versions = {"python": platform.python_version(), "machine": f"{sys.platform} {platform.machine()}"}
+    for package in _PACKAGES:
+        try:
+            versions[package] = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return versions
