@@ -1,0 +1,309 @@
+"""The command `sitl-stub`: an autopilot with a vehicle inside, on loopback sockets.
+
+The sockets are open and the ready line is printed before numba is loaded, so that a caller waits milliseconds; time
+starts when the compiled loops are there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from types import FrameType
+from typing import TYPE_CHECKING
+
+from sitl_stub.stub_process import watch_parent
+
+if TYPE_CHECKING:
+    from sitl_stub.mavlink.codec import LinkCounters
+    from sitl_stub.mavlink.links import Port
+    from sitl_stub.physics.vehicle import VehicleParameters
+    from sitl_stub.server import Server
+
+FIRMWARES = ("px4", "px4-1.13")
+ONBOARD_REMOTE, ONBOARD_LOCAL = "127.0.0.1:14540", 14580
+GCS_REMOTE, GCS_LOCAL = "127.0.0.1:14550", 18570
+
+EXAMPLES = """examples:
+  sitl-stub                                    PX4 with the report's vehicle; speaks to udp 14540 and 14550, as PX4 does
+  sitl-stub --lockstep --seed 3 --exit-on-disarm
+                                               as fast as the client answers TIMESYNC, the same bits every time
+  sitl-stub --tcp 127.0.0.1:5760 --speed 4     a TCP server, four times real time
+  sitl-stub --udp 127.0.0.1:15000@0 --json     own free port, one JSON line when the sockets are open
+  sitl-stub --firmware px4-1.13                the last PX4 that took actuator controls
+  sitl-stub --vehicle px4_sih --estimator gps --wind 4,1.5 --param MC_ROLL_P=6
+  sitl-stub --port 0 --json                    free ports throughout; the client's endpoint is in the line
+"""
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="sitl-stub",
+        description="A stand-in autopilot in pure Python: PX4's behaviour on the wire, a 6-DOF multirotor inside.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    vehicle = parser.add_argument_group("vehicle")
+    vehicle.add_argument(
+        "--firmware", choices=FIRMWARES, default="px4", help="whose behaviour (default px4: 1.17)"
+    )
+    vehicle.add_argument(
+        "--vehicle", default="qball2", metavar="NAME", help="qball2, px4_sih or a .toml file (default qball2)"
+    )
+    vehicle.add_argument(
+        "--mass", type=float, metavar="KG", help="true mass, where it differs from the vehicle's file"
+    )
+    vehicle.add_argument(
+        "--estimator", default="mocap", metavar="PRESET", help="mocap, gps or perfect (default mocap)"
+    )
+    vehicle.add_argument("--seed", type=int, default=0, help="of noise and gusts (default 0)")
+    vehicle.add_argument(
+        "--wind",
+        default="0",
+        metavar="MEAN[,GUST]",
+        help="m/s from the south, and strength of gusts (default 0)",
+    )
+    vehicle.add_argument(
+        "--param", action="append", default=[], metavar="NAME=VALUE", help="set a parameter; may be repeated"
+    )
+    links = parser.add_argument_group("links (default: --udp 127.0.0.1:14540@14580 and ground station 14550)")
+    links.add_argument(
+        "--udp",
+        action="append",
+        default=[],
+        metavar="HOST:PORT[@LOCAL]",
+        help="send to this client first, as PX4 does",
+    )
+    links.add_argument(
+        "--gcs",
+        action="append",
+        default=[],
+        metavar="HOST:PORT[@LOCAL]",
+        help="the same, with ground-station rates",
+    )
+    links.add_argument(
+        "--udp-server", action="append", default=[], metavar="HOST:PORT", help="wait for clients on UDP"
+    )
+    links.add_argument(
+        "--tcp", action="append", default=[], metavar="HOST:PORT", help="wait for clients on TCP"
+    )
+    links.add_argument(
+        "--port", type=int, choices=[0], help="0: one onboard UDP link on free ports (see the ready line)"
+    )
+    pace = parser.add_argument_group("time")
+    pace.add_argument("--speed", type=float, default=1.0, help="simulated seconds per second (default 1)")
+    pace.add_argument(
+        "--lockstep", action="store_true", help="simulated time waits for the client's TIMESYNC answers"
+    )
+    pace.add_argument("--duration", type=float, metavar="S", help="stop after this much simulated time")
+    pace.add_argument(
+        "--exit-on-disarm", action="store_true", help="stop when disarmed after having been armed"
+    )
+    parser.add_argument("--json", action="store_true", help="print the ready line and the summary as JSON")
+    parser.add_argument("--die-with-parent", action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument("--quiet", action="store_true", help="print the ready line and errors only")
+    return parser
+
+
+class _Refusal(Exception):
+    """A wrong argument: one line, exit code 2."""
+
+
+def _split_remote(text: str, default_local: int) -> tuple[str, int]:
+    remote, at, local = text.partition("@")
+    if not at:
+        return remote, default_local
+    if not local.isdigit() or int(local) > 65535:
+        raise _Refusal(f"{text!r}: after @ comes the stub's own port, 0 for any")
+    return remote, int(local)
+
+
+def _free_port() -> int:
+    import socket
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def open_ports(options: argparse.Namespace) -> list[Port]:
+    """Every socket asked for; raises AddressError."""
+    from sitl_stub.mavlink.links import AddressError, TcpPort, UdpPort, parse_address
+
+    ports: list[Port] = []
+    try:
+        if options.port == 0:
+            ports.append(UdpPort(("127.0.0.1", 0), ("127.0.0.1", _free_port()), "onboard"))
+        elif not (options.udp or options.gcs or options.udp_server or options.tcp):
+            ports.append(
+                UdpPort(("127.0.0.1", ONBOARD_LOCAL), parse_address(ONBOARD_REMOTE, "--udp"), "onboard")
+            )
+            ports.append(UdpPort(("127.0.0.1", GCS_LOCAL), parse_address(GCS_REMOTE, "--gcs"), "gcs"))
+        for flag, role, texts in (("--udp", "onboard", options.udp), ("--gcs", "gcs", options.gcs)):
+            for text in texts:
+                remote_text, local = _split_remote(text, 0)
+                remote = parse_address(remote_text, flag)
+                own_host = "127.0.0.1" if remote[0].startswith(("127.", "localhost")) else "0.0.0.0"
+                ports.append(UdpPort((own_host, local), remote, role))
+        for text in options.udp_server:
+            ports.append(UdpPort(parse_address(text, "--udp-server"), None, "onboard"))
+        for text in options.tcp:
+            ports.append(TcpPort(parse_address(text, "--tcp"), "onboard"))
+    except AddressError:
+        for port in ports:
+            port.close()
+        raise
+    return ports
+
+
+def _numbers(options: argparse.Namespace) -> tuple[float, float, dict[str, float]]:
+    """Mean wind, gust, parameters from the arguments."""
+    try:
+        parts = [float(part) for part in options.wind.split(",")]
+        if not 1 <= len(parts) <= 2 or parts[-1] < 0:
+            raise ValueError
+    except ValueError:
+        raise _Refusal(f"--wind {options.wind!r}: give MEAN or MEAN,GUST in m/s, for example 4,1.5") from None
+    parameters: dict[str, float] = {}
+    for text in options.param:
+        name, equals, value = text.partition("=")
+        try:
+            parameters[name.strip().upper()] = float(value)
+        except ValueError:
+            equals = ""
+        if not equals:
+            raise _Refusal(f"--param {text!r}: give NAME=NUMBER, for example MC_ROLL_P=6")
+    if not 0.01 <= options.speed <= 1000:
+        raise _Refusal(f"--speed {options.speed}: give a number from 0.01 to 1000")
+    if options.seed < 0:
+        raise _Refusal(f"--seed {options.seed}: must not be negative")
+    return parts[0], parts[1] if len(parts) > 1 else 0.0, parameters
+
+
+def _vehicle(options: argparse.Namespace, parameters: dict[str, float]) -> VehicleParameters:
+    """The vehicle; also looks at estimator and parameters, so that a refusal comes before the ready line."""
+    from sitl_stub.firmware.parameters import ParameterTable, shipped_parameters
+    from sitl_stub.physics.presets import load_preset
+    from sitl_stub.physics.vehicle import load_vehicle
+
+    load_preset(options.estimator)
+    table = ParameterTable(shipped_parameters("px4_parameters.json"))
+    for name, value in parameters.items():
+        table.set(name, value)
+    changes = {} if options.mass is None else {"mass_kg": options.mass}
+    return load_vehicle(options.vehicle, **changes)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command; returns the exit code: 0 done or stopped, 2 wrong arguments."""
+    parent = os.getppid()
+    options = _parser().parse_args(arguments)
+    stopping = threading.Event()
+    servers: list[Server] = []
+
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        stopping.set()
+        for one in servers:
+            one.stop()
+
+    signal.signal(signal.SIGINT, on_signal)
+    signal.signal(signal.SIGTERM, on_signal)
+    ports: list[Port] = []
+    try:
+        mean, gust, parameters = _numbers(options)
+        from sitl_stub.server import Server
+
+        vehicle = _vehicle(options, parameters)
+        ports = open_ports(options)
+        server = Server(ports, options.speed, options.lockstep)
+        servers.append(server)
+        _print_ready(options, ports)
+        # From here on numba is loaded; everything that can be refused has been looked at.
+        from sitl_stub.firmware.px4_build import build_px4
+
+        autopilot = build_px4(
+            options.firmware, vehicle, options.estimator, options.seed, (mean, 0.0, 0.0), gust, parameters
+        )
+    except (_Refusal, ValueError) as error:
+        for port in ports:
+            port.close()
+        print(f"sitl-stub: {error}", file=sys.stderr)
+        return 2
+
+    def say(text: str) -> None:
+        if not (options.json or options.quiet):
+            print(f"[{autopilot.time_us * 1e-6:9.3f}] {text}", flush=True)
+
+    server.say = say
+    autopilot.on_text = say
+    server.duration_us = None if options.duration is None else int(options.duration * 1e6)
+    server.exit_on_disarm = options.exit_on_disarm
+    if stopping.is_set():
+        server.stop()
+    if options.die_with_parent:
+        threading.Thread(target=watch_parent, args=(server.stop, parent), daemon=True).start()
+    wall = time.monotonic()
+    try:
+        server.run(autopilot)
+    finally:
+        counters = [link.counters for port in ports for link in port.links]
+        server.close()
+    _print_summary(options, autopilot.time_us * 1e-6, time.monotonic() - wall, counters)
+    return 0
+
+
+def _print_ready(options: argparse.Namespace, ports: list[Port]) -> None:
+    described = [port.describe() for port in ports]
+    if options.json:
+        line = {
+            "ready": True,
+            "pid": os.getpid(),
+            "firmware": options.firmware,
+            "vehicle": options.vehicle,
+            "estimator": options.estimator,
+            "seed": options.seed,
+            "lockstep": options.lockstep,
+            "endpoint": described[0]["endpoint"],
+            "links": described,
+        }
+        print(json.dumps(line), flush=True)
+        return
+    pace = "lockstep" if options.lockstep else f"{options.speed:g} times real time"
+    where = ", ".join(str(one["endpoint"]) for one in described)
+    print(
+        f"sitl-stub ready: {options.firmware}, vehicle {options.vehicle}, estimator {options.estimator}, "
+        f"seed {options.seed}, {pace}; client endpoints: {where}",
+        flush=True,
+    )
+
+
+def _print_summary(
+    options: argparse.Namespace, simulated_s: float, wall_s: float, counters: Sequence[LinkCounters]
+) -> None:
+    received = sum(one.received for one in counters)
+    sent = sum(one.sent for one in counters)
+    dropped = sum(one.dropped for one in counters)
+    summary = {
+        "simulated_s": round(simulated_s, 3),
+        "wall_s": round(wall_s, 3),
+        "sent": sent,
+        "received": received,
+        "dropped": dropped,
+    }
+    try:
+        if options.json:
+            print(json.dumps(summary), flush=True)
+        else:
+            ratio = simulated_s / max(wall_s, 1e-3)
+            print(
+                f"sitl-stub: {simulated_s:.1f} s simulated in {wall_s:.1f} s ({ratio:.1f} times), "
+                f"{sent} messages sent, {received} received, {dropped} dropped",
+                flush=True,
+            )
+    except BrokenPipeError:
+        pass

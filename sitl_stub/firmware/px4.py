@@ -1,0 +1,269 @@
+"""PX4 as a firmware of the stub: identity, commands and messages. 1.17 by default; 1.13 where it differs.
+
+Behaviour follows the capture of PX4 1.17.0 (see `tests/conformance`). Modes and arming are in `px4_commander.py`, own modes
+in `px4_navigator.py`, setpoints in `px4_offboard.py`, what it sends in `px4_streams.py`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sitl_stub.firmware import control_layout as at
+from sitl_stub.firmware.autopilot import LOGIC_PERIOD_US, Autopilot, Command, Result
+from sitl_stub.firmware.flight_core import FlightCore
+from sitl_stub.firmware.land_detector import LandDetector
+from sitl_stub.firmware.parameters import ParameterTable
+from sitl_stub.firmware.px4_commander import FORCE_MAGIC, Commander
+from sitl_stub.firmware.px4_events import Event
+from sitl_stub.firmware.px4_modes import Mode, mode_of, mode_of_custom
+from sitl_stub.firmware.px4_navigator import FULL_STICK, Navigator
+from sitl_stub.firmware.px4_offboard import OffboardSetpoint
+from sitl_stub.firmware.px4_streams import Px4Messages
+from sitl_stub.firmware.streams import Builder
+from sitl_stub.mavlink.codec import Received
+from sitl_stub.mavlink.links import Link
+
+
+@dataclass(frozen=True, slots=True)
+class Px4Version:
+    """What differs between releases."""
+
+    name: str
+    flight_sw_version: int
+    takes_actuator_controls: bool
+    """SET_ACTUATOR_CONTROL_TARGET does something (until 1.13)."""
+    old_mixers: bool
+    """Fixed mixers with 1.13's normalisation."""
+    speaks_events: bool
+    """Announces with EVENT rather than STATUSTEXT, and sends CURRENT_MODE."""
+
+
+VERSION_1_17 = Px4Version("px4", 0x011100FF, False, False, True)
+VERSION_1_13 = Px4Version("px4-1.13", 0x010D03FF, True, True, False)
+
+
+class Px4(Autopilot):
+    """One PX4."""
+
+    has_distance_sensor = False
+    """Whether landing slows to MPC_LAND_CRWL near the ground; the capture's did not."""
+
+    def __init__(
+        self,
+        core: FlightCore,
+        parameters: ParameterTable,
+        version: Px4Version = VERSION_1_17,
+        ready_after_s: float = 4.2,
+    ) -> None:
+        self.version = version
+        self.ready_after_us = int(ready_after_s * 1e6)
+        self.estimator_after_us = int(0.75 * self.ready_after_us)
+        self.home_after_us = int(0.55 * self.ready_after_us)
+        self.home_ned = np.zeros(3)
+        self.home_quaternion = (1.0, 0.0, 0.0, 0.0)
+        self.home_set_us = 0
+        self.armed_at_us = 0
+        self.event_sequence = 0xFFF9
+        self.land_detector = LandDetector()
+        self.offboard = OffboardSetpoint(version.takes_actuator_controls)
+        self.say_messages = Px4Messages(self)
+        super().__init__(core, parameters)
+        self.navigator = Navigator(self)
+        self.commander = Commander(self)
+        self.navigator.enter(Mode.LOITER)
+        self.commands.update(
+            {
+                20: lambda link, command: self._mode_command(Mode.RTL),
+                21: lambda link, command: self._mode_command(Mode.LAND),
+                22: self._takeoff,
+                176: self._do_set_mode,
+                178: self._change_speed,
+                179: self._set_home,
+                192: self._reposition,
+                241: self._ignore_command,
+                246: self._reboot,
+                400: self._arm,
+                520: self._request_capabilities,
+            }
+        )
+        self.messages.update(
+            {
+                "SET_ATTITUDE_TARGET": self._set_attitude_target,
+                "SET_POSITION_TARGET_LOCAL_NED": self._set_position_target,
+                "SET_ACTUATOR_CONTROL_TARGET": self._set_actuator_control_target,
+                "SET_MODE": self._set_mode,
+                "MANUAL_CONTROL": self._manual_control,
+            }
+        )
+
+    # --- state -------------------------------------------------------------------------------------------------
+    @property
+    def armed(self) -> bool:
+        """Whether the rotors may turn."""
+        return self.commander.armed
+
+    @property
+    def estimator_ready(self) -> bool:
+        """Whether the estimate has converged."""
+        return self.time_us >= self.estimator_after_us
+
+    @property
+    def system_ready(self) -> bool:
+        """Whether everything but the mode's own needs is there for arming."""
+        return self.time_us >= self.ready_after_us and bool(self.core.estimate[18] > 0.0)
+
+    @property
+    def home_known(self) -> bool:
+        """Whether HOME_POSITION has been set."""
+        return self.time_us >= self.home_after_us
+
+    def set_home_here(self) -> None:
+        """Home is where the vehicle is (PX4 sets it on arming)."""
+        self.home_ned = np.array(self.core.position_ned)
+        w, x, y, z = (float(value) for value in self.core.quaternion)
+        self.home_quaternion = (w, x, y, z)
+        self.home_set_us = self.time_us
+
+    def announce(self, severity: int, text: str, event: Event | None = None) -> None:
+        """Tell clients what happened: as EVENT where the release does that, else as STATUSTEXT."""
+        if not self.version.speaks_events:
+            self.say(severity, text)
+            return
+        self.on_text(text)
+        if event is None:
+            return
+        self.event_sequence = (self.event_sequence + 1) & 0xFFFF
+        self.broadcast(
+            "EVENT",
+            id=event.number,
+            event_time_boot_ms=self.time_us // 1000,
+            sequence=self.event_sequence,
+            log_levels=event.log_levels,
+            arguments=event.arguments,
+        )
+
+    # --- the loop ----------------------------------------------------------------------------------------------
+    def run_logic(self) -> None:
+        """Everything that happens a hundred times a second."""
+        core = self.core
+        thrust = float(core.memory[at.OUT_THRUST])
+        commander = self.commander
+        self.land_detector.update(
+            core.time_us, commander.armed, thrust, core.velocity_ned, core.body_rate_frd, self.parameters
+        )
+        commander.update()
+        core.integrate = commander.armed and not self.land_detector.landed
+        if not commander.armed:
+            core.idle()
+        elif commander.mode is Mode.OFFBOARD:
+            self._apply_offboard()
+        else:
+            self.navigator.update(LOGIC_PERIOD_US * 1e-6)
+
+    def _apply_offboard(self) -> None:
+        if self.commander.armed and self.commander.mode is Mode.OFFBOARD:
+            self.core.setpoint[:] = self.offboard.packed
+
+    # --- setpoints ---------------------------------------------------------------------------------------------
+    def _set_attitude_target(self, link: Link, message: Received) -> None:
+        if self.offboard.take_attitude(message, self.time_us):
+            self._apply_offboard()
+
+    def _set_position_target(self, link: Link, message: Received) -> None:
+        if self.offboard.take_position(message, self.core.yaw, self.time_us):
+            self._apply_offboard()
+
+    def _set_actuator_control_target(self, link: Link, message: Received) -> None:
+        if self.offboard.take_actuators(message, self.time_us):
+            self._apply_offboard()
+
+    def _manual_control(self, link: Link, message: Received) -> None:
+        v = message.values
+        if int(self.parameters["COM_RC_IN_MODE"]) in (0, 4) and not self.accepts_joystick:
+            return
+        sticks = self.navigator.sticks
+        sticks.pitch = min(max(v["x"] / FULL_STICK, -1.0), 1.0)
+        sticks.roll = min(max(v["y"] / FULL_STICK, -1.0), 1.0)
+        sticks.throttle = min(max(v["z"] / FULL_STICK, 0.0), 1.0)
+        sticks.yaw = min(max(v["r"] / FULL_STICK, -1.0), 1.0)
+        sticks.last_us = self.time_us
+
+    @property
+    def accepts_joystick(self) -> bool:
+        """COM_RC_IN_MODE: 0 takes radio sticks only, 4 none; the rest take MANUAL_CONTROL."""
+        return int(self.parameters["COM_RC_IN_MODE"]) not in (0, 4)
+
+    # --- commands ----------------------------------------------------------------------------------------------
+    def _do_set_mode(self, link: Link, command: Command) -> Result | None:
+        # Two acknowledgements, as in the capture: one for the command having arrived, one for its outcome.
+        self.acknowledge(link, command, Result.ACCEPTED)
+        if int(command.params[0]) & 1:
+            mode = mode_of(command.params[1], command.params[2])
+        else:
+            mode = None
+        self.acknowledge(link, command, self.commander.request_mode(mode))
+        return None
+
+    def _mode_command(self, mode: Mode) -> Result:
+        return self.commander.request_mode(mode)
+
+    def _takeoff(self, link: Link, command: Command) -> Result | None:
+        altitude = command.params[6]
+        if math.isfinite(altitude) and altitude != 0.0:
+            height = altitude - self.say_messages.altitude_of(float(self.home_ned[2]))
+            if height > 0.5:
+                self.navigator.takeoff_altitude_m = height
+        return self._mode_command(Mode.TAKEOFF)
+
+    def _reposition(self, link: Link, command: Command) -> Result | None:
+        latitude, longitude, altitude = command.params[4:7]
+        result = self.commander.request_mode(Mode.LOITER)
+        if result is Result.ACCEPTED:
+            target = np.array(self.navigator.target)
+            if math.isfinite(latitude) and math.isfinite(longitude) and (latitude or longitude):
+                target[:2] = self.say_messages.local_of(latitude, longitude)
+            if math.isfinite(altitude):
+                target[2] = self.say_messages.down_of(altitude)
+            if math.isfinite(command.params[3]):
+                self.navigator.yaw = command.params[3]
+            self.navigator.reposition = target
+        return result
+
+    def _change_speed(self, link: Link, command: Command) -> Result | None:
+        if command.params[1] > 0:
+            self.parameters.set("MPC_XY_CRUISE", min(command.params[1], self.parameters["MPC_XY_VEL_MAX"]))
+        return Result.ACCEPTED
+
+    def _set_home(self, link: Link, command: Command) -> Result | None:
+        if command.params[0] >= 0.5:
+            self.set_home_here()
+        else:
+            north, east = self.say_messages.local_of(command.params[4], command.params[5])
+            self.home_ned = np.array([north, east, self.say_messages.down_of(command.params[6])])
+        return Result.ACCEPTED
+
+    def _reboot(self, link: Link, command: Command) -> Result | None:
+        return Result.DENIED if self.commander.armed else Result.ACCEPTED
+
+    def _arm(self, link: Link, command: Command) -> Result | None:
+        wanted = command.params[0]
+        if wanted not in (0.0, 1.0):
+            return Result.UNSUPPORTED
+        return self.commander.request_arm(wanted == 1.0, command.params[1] == FORCE_MAGIC)
+
+    def _request_capabilities(self, link: Link, command: Command) -> Result | None:
+        self.streams.build(link, 148)
+        return Result.ACCEPTED
+
+    def _set_mode(self, link: Link, message: Received) -> None:
+        v = message.values
+        if v["base_mode"] & 1:
+            self.commander.request_mode(mode_of_custom(v["custom_mode"]))
+
+    def stream_definitions(self) -> Sequence[tuple[str, Builder, Mapping[str, float]]]:
+        """As on PX4's onboard and ground-station links."""
+        return self.say_messages.definitions()

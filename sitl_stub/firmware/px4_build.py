@@ -1,0 +1,86 @@
+"""Puts a PX4 together: vehicle, parameters that fit it, estimator, seed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from sitl_stub.firmware.flight_core import FlightCore
+from sitl_stub.firmware.mixing import full_torque_newton_metre, mixer_matrix
+from sitl_stub.firmware.parameters import ParameterTable, shipped_parameters
+from sitl_stub.firmware.px4 import VERSION_1_13, VERSION_1_17, Px4
+from sitl_stub.physics.vehicle import VehicleParameters, load_vehicle
+
+CAPTURE_VEHICLE = "px4_sih"
+VERSIONS = {version.name: version for version in (VERSION_1_17, VERSION_1_13)}
+READY_AFTER_S = {"gps": 4.2}
+"""The capture is ready 4.2 s after boot; without GPS to wait for, one second."""
+READY_AFTER_OTHERS_S = 1.0
+
+
+def px4_parameters(vehicle: VehicleParameters) -> ParameterTable:
+    """PX4's parameters for `vehicle`: those of the capture, with hover thrust, SIH's numbers and rate gains fitted to it.
+
+    The rate loops' K (MC_ROLLRATE_K ...) is scaled so that angular acceleration per rate error is that of the capture's
+    vehicle: step responses are then alike whatever the vehicle. The capture's own vehicle is left as it is.
+    """
+    values = shipped_parameters("px4_parameters.json")
+    if vehicle.name == CAPTURE_VEHICLE:
+        return ParameterTable(values)
+    reference = load_vehicle(CAPTURE_VEHICLE)
+    own = full_torque_newton_metre(vehicle, mixer_matrix(vehicle)) / vehicle.inertia_kg_m2
+    known = full_torque_newton_metre(reference, mixer_matrix(reference)) / reference.inertia_kg_m2
+    for name, scale in zip(("ROLL", "PITCH", "YAW"), known / own, strict=True):
+        values[f"MC_{name}RATE_K"] = round(float(scale), 4)
+    arms = np.abs(vehicle.rotor_position_frd)
+    lag = vehicle.rotor_lag_rad_s
+    thrust = float(vehicle.max_thrust_newton.mean())
+    values.update(
+        {
+            "MPC_THR_HOVER": round(vehicle.hover_command, 4),
+            "THR_MDL_FAC": vehicle.thrust_curve,
+            "SIH_MASS": vehicle.mass_kg,
+            "SIH_IXX": float(vehicle.inertia_kg_m2[0]),
+            "SIH_IYY": float(vehicle.inertia_kg_m2[1]),
+            "SIH_IZZ": float(vehicle.inertia_kg_m2[2]),
+            "SIH_T_MAX": thrust,
+            "SIH_Q_MAX": thrust * vehicle.torque_per_thrust_m,
+            "SIH_L_ROLL": float(arms[:, 1].max()),
+            "SIH_L_PITCH": float(arms[:, 0].max()),
+            "SIH_T_TAU": 1.0 / lag if lag > 0 else 0.0,
+            "SIH_KDV": float(vehicle.linear_drag_kg_s.mean()),
+            "SIH_KDW": float(vehicle.angular_drag_kg_m2_s.mean()),
+            "CA_ROTOR_COUNT": vehicle.rotor_count,
+            "BAT1_N_CELLS": vehicle.battery_cells,
+        }
+    )
+    for index in range(vehicle.rotor_count):
+        values[f"CA_ROTOR{index}_PX"] = float(vehicle.rotor_position_frd[index, 0])
+        values[f"CA_ROTOR{index}_PY"] = float(vehicle.rotor_position_frd[index, 1])
+        values[f"CA_ROTOR{index}_KM"] = float(vehicle.rotor_spin[index]) * 0.05
+    return ParameterTable(values)
+
+
+def build_px4(
+    firmware: str = "px4",
+    vehicle: VehicleParameters | str = "qball2",
+    estimator: str = "mocap",
+    seed: int = 0,
+    wind_ned_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    gust_speed_m_s: float = 0.0,
+    parameters: Mapping[str, float] | None = None,
+) -> Px4:
+    """A PX4 ready to be stepped. `parameters` override single ones.
+
+    Raises VehicleError, ParameterError, and KeyError for an unknown firmware.
+    """
+    version = VERSIONS[firmware]
+    body = load_vehicle(vehicle) if isinstance(vehicle, str) else vehicle
+    table = px4_parameters(body)
+    for name, value in (parameters or {}).items():
+        table.set(name, value)
+    core = FlightCore(
+        body, table, estimator, seed, wind_ned_m_s, gust_speed_m_s, count_all_rotors=version.old_mixers
+    )
+    return Px4(core, table, version, READY_AFTER_S.get(estimator, READY_AFTER_OTHERS_S))

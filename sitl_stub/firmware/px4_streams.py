@@ -1,0 +1,456 @@
+"""What PX4 sends: one builder a message, values in wire order, and the default rates of its links.
+
+Constants that the stub has no model for (satellites, accuracies, sensor bits) are those of the capture. Positions on the
+globe are flat about SIH_LOC_LAT0, SIH_LOC_LON0, SIH_LOC_H0.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from sitl_stub.firmware import control_layout as at
+from sitl_stub.firmware.autopilot import SIMULATED_EPOCH_US
+from sitl_stub.firmware.globe import LocalOrigin
+from sitl_stub.firmware.px4_modes import ARMED_FLAG, CUSTOM_MODE_ENABLED, Mode
+from sitl_stub.firmware.px4_offboard import OffboardKind
+from sitl_stub.firmware.streams import Builder
+from sitl_stub.mavlink.links import Link
+from sitl_stub.physics import vehicle as body
+
+if TYPE_CHECKING:
+    from sitl_stub.firmware.px4 import Px4
+
+NAN = float("nan")
+Values = tuple[Any, ...]
+
+CAPABILITIES = 59647
+PREARM_BIT = 1 << 28
+HEALTH_BITS = 52480063
+SENSORS_PRESENT, SENSORS_ENABLED = 16431, 81967
+LANDED_ON_GROUND, LANDED_IN_AIR, LANDED_TAKEOFF, LANDED_LANDING = 1, 2, 3, 4
+STATUS_UNINIT, STATUS_STANDBY, STATUS_ACTIVE, STATUS_CRITICAL = 0, 3, 4, 5
+COVARIANCE_UNKNOWN = (NAN,) * 21
+PASCAL_PER_HPA = 100.0
+
+
+def _int16(value: float) -> int:
+    return max(-32768, min(32767, round(value)))
+
+
+class Px4Messages:
+    """Builders of every message of one vehicle."""
+
+    def __init__(self, autopilot: Px4) -> None:
+        self.autopilot = autopilot
+        self.ping_sequence = 0
+        self._origin: LocalOrigin | None = None
+
+    @property
+    def origin(self) -> LocalOrigin:
+        """Where local (0, 0, 0) lies on the globe."""
+        if self._origin is None:
+            p = self.autopilot.parameters
+            self._origin = LocalOrigin(p["SIH_LOC_LAT0"], p["SIH_LOC_LON0"], p["SIH_LOC_H0"])
+        return self._origin
+
+    def altitude_of(self, down_m: float) -> float:
+        """Altitude above sea level of local z."""
+        return self.origin.altitude_m - down_m
+
+    def down_of(self, altitude_m: float) -> float:
+        """Local z of an altitude above sea level."""
+        return self.origin.altitude_m - altitude_m
+
+    def local_of(self, latitude_deg: float, longitude_deg: float) -> tuple[float, float]:
+        """North and east of a place, m."""
+        return self.origin.local(latitude_deg, longitude_deg)
+
+    def definitions(self) -> Sequence[tuple[str, Builder, Mapping[str, float]]]:
+        """Name, builder, rates by link role. LOCAL_POSITION_NED comes before ATTITUDE_QUATERNION within one instant."""
+
+        def rates(onboard: float, gcs: float) -> Mapping[str, float]:
+            return {"onboard": onboard, "gcs": gcs}
+
+        table: list[tuple[str, Builder, Mapping[str, float]]] = [
+            ("HEARTBEAT", self.heartbeat, rates(1, 1)),
+            ("SYS_STATUS", self.sys_status, rates(5, 1)),
+            ("EXTENDED_SYS_STATE", self.extended_sys_state, rates(5, 1)),
+            ("SYSTEM_TIME", self.system_time, rates(1, 1)),
+            ("PING", self.ping, rates(1, 0.1)),
+            ("BATTERY_STATUS", self.battery_status, rates(1, 0.5)),
+            ("ESTIMATOR_STATUS", self.estimator_status, rates(1, 0.5)),
+            ("HOME_POSITION", self.home_position, rates(1, 0.5)),
+            ("GPS_GLOBAL_ORIGIN", self.gps_global_origin, {}),
+            ("MISSION_CURRENT", self.mission_current, rates(1, 0.5)),
+            ("GPS_RAW_INT", self.gps_raw_int, rates(8, 1)),
+            ("SCALED_PRESSURE", self.scaled_pressure, rates(1, 1)),
+            ("VIBRATION", self.vibration, rates(0.5, 0.1)),
+            ("TIMESYNC", self.timesync, rates(10, 0)),
+            ("ALTITUDE", self.altitude, rates(10, 1)),
+            ("DISTANCE_SENSOR", self.distance_sensor, rates(10, 0.5)),
+            ("VFR_HUD", self.vfr_hud, rates(10, 4)),
+            ("SERVO_OUTPUT_RAW", self.servo_output_raw, rates(10, 1)),
+            ("GLOBAL_POSITION_INT", self.global_position_int, rates(50, 5)),
+            ("POSITION_TARGET_LOCAL_NED", self.position_target_local_ned, rates(10, 1.5)),
+            ("POSITION_TARGET_GLOBAL_INT", self.position_target_global_int, rates(10, 1)),
+            ("ATTITUDE_TARGET", self.attitude_target, rates(10, 2)),
+            ("HIGHRES_IMU", self.highres_imu, rates(50, 0)),
+            ("HIL_STATE_QUATERNION", self.hil_state_quaternion, {}),
+            ("ODOMETRY", self.odometry, rates(30, 3)),
+            ("LOCAL_POSITION_NED", self.local_position_ned, rates(30, 1)),
+            ("ATTITUDE", self.attitude, rates(100, 15)),
+            ("ATTITUDE_QUATERNION", self.attitude_quaternion, rates(50, 10)),
+            ("AUTOPILOT_VERSION", self.autopilot_version, {}),
+        ]
+        if self.autopilot.version.speaks_events:
+            table.append(("CURRENT_MODE", self.current_mode, rates(0.5, 0.5)))
+            table.append(("CURRENT_EVENT_SEQUENCE", self.current_event_sequence, rates(0.3, 0.3)))
+        return table
+
+    # --- status ------------------------------------------------------------------------------------------------
+    def heartbeat(self, link: Link) -> Values:
+        """HEARTBEAT: mode, armed, and the system status that follows arming and failsafe."""
+        a = self.autopilot
+        c = a.commander
+        base = c.mode.value.base_flags | CUSTOM_MODE_ENABLED
+        if c.mode is Mode.OFFBOARD and a.offboard.fresh(a.time_us, a.parameters["COM_OF_LOSS_T"]):
+            if a.offboard.kind not in (OffboardKind.RATES, OffboardKind.ACTUATORS):
+                base |= 16
+        elif c.mode is Mode.OFFBOARD and a.offboard.kind is not OffboardKind.NONE and not c.armed:
+            base |= 16
+        if c.armed:
+            base |= ARMED_FLAG
+            status = STATUS_CRITICAL if c.failsafe else STATUS_ACTIVE
+        else:
+            status = STATUS_STANDBY if c.ready_to_arm else STATUS_UNINIT
+        return (c.mode.custom_mode, 2, 12, base, status, 3)
+
+    def sys_status(self, link: Link) -> Values:
+        """SYS_STATUS: sensors, the pre-arm bit (28) for the present mode, battery."""
+        a = self.autopilot
+        c = a.commander
+        present, enabled, health = SENSORS_PRESENT, SENSORS_ENABLED, HEALTH_BITS
+        if not a.home_known:
+            present, enabled = 0, 0
+        if c.armed or c.ready_to_arm:
+            health |= PREARM_BIT
+        state = a.core.state
+        volts = float(state[body.BATTERY_VOLTAGE])
+        values = (
+            present,
+            enabled,
+            health,
+            160,
+            round(volts * 1000),
+            -100,
+            0,
+            0,
+            0,
+            0,
+            0,
+            0,
+            self._battery_percent(),
+        )
+        return (*values, 0, 0, 1)
+
+    def _battery_percent(self) -> int:
+        core = self.autopilot.core
+        used = float(core.state[body.CHARGE_USED] / core.parameters_packed[body.BATTERY_CAPACITY])
+        return max(0, min(99, round(100.0 * (1.0 - used))))
+
+    def battery_status(self, link: Link) -> Values | None:
+        """BATTERY_STATUS: one pack; its voltage is in the first cell's field, as PX4 does without cell measurement."""
+        state = self.autopilot.core.state
+        voltages = (round(float(state[body.BATTERY_VOLTAGE]) * 1000),) + (65535,) * 9
+        used_mah = round(float(state[body.CHARGE_USED]) / 3.6)
+        current = _int16(100.0 * float(state[body.BATTERY_CURRENT]))
+        head = (used_mah, -1, 32767, *voltages, current, 0, 1, 1, self._battery_percent())
+        return (*head, 0, 1, 0, 0, 0, 0, 0, 0)
+
+    def extended_sys_state(self, link: Link) -> Values:
+        """EXTENDED_SYS_STATE: on the ground, in the air, taking off, landing."""
+        a = self.autopilot
+        if a.land_detector.landed:
+            landed = LANDED_ON_GROUND
+        elif a.commander.mode is Mode.TAKEOFF:
+            landed = LANDED_TAKEOFF
+        elif a.commander.mode in (Mode.LAND, Mode.PRECISION_LAND):
+            landed = LANDED_LANDING
+        else:
+            landed = LANDED_IN_AIR
+        return (0, landed)
+
+    def current_mode(self, link: Link) -> Values:
+        """CURRENT_MODE: what flies and what was asked for."""
+        c = self.autopilot.commander
+        return (c.mode.custom_mode, c.intended.custom_mode, c.mode.value.standard_mode)
+
+    def current_event_sequence(self, link: Link) -> Values:
+        """CURRENT_EVENT_SEQUENCE."""
+        return (self.autopilot.event_sequence, 0)
+
+    def system_time(self, link: Link) -> Values:
+        """SYSTEM_TIME: simulated, counted from a fixed epoch."""
+        now = self.autopilot.time_us
+        return (SIMULATED_EPOCH_US + now, now // 1000)
+
+    def timesync(self, link: Link) -> Values | None:
+        """TIMESYNC request; in lockstep the server sends them instead."""
+        if self.autopilot.lockstep:
+            return None
+        return (0, self.autopilot.time_us * 1000)
+
+    def ping(self, link: Link) -> Values:
+        """PING request."""
+        self.ping_sequence += 1
+        return (self.autopilot.time_us, self.ping_sequence - 1, 0, 0)
+
+    def estimator_status(self, link: Link) -> Values:
+        """ESTIMATOR_STATUS: ESTIMATOR_STATUS_FLAGS and accuracies."""
+        a = self.autopilot
+        if a.estimator_ready:
+            flags = 1023 if a.land_detector.landed else 895
+            if not a.core.position_valid:
+                flags &= ~(8 | 16 | 2 | 256 | 512)
+        else:
+            flags = 229 if a.home_known else 164
+        sd = a.core.estimator.preset.position.sd
+        ratios = (0.05, 0.03, 0.02, 0.05, 0.01, NAN)
+        return (a.time_us, *ratios, max(sd[:2]), sd[2], flags)
+
+    def mission_current(self, link: Link) -> Values:
+        """MISSION_CURRENT: no mission; mission_mode says whether the vehicle is in an automatic mode."""
+        c = self.autopilot.commander
+        mode = 1 if c.armed and c.mode.is_auto else 2
+        return (0, 65535, 1, mode)
+
+    def vibration(self, link: Link) -> Values:
+        """VIBRATION: the accelerometer noise of the preset."""
+        a = self.autopilot
+        sd = a.core.estimator.preset.accelerometer_sd_thrusting if a.commander.armed else (0.0, 0.0, 0.0)
+        return (a.time_us, 0.0, 0.05 * sd[0], float(sd[2]), 0, 0, 0)
+
+    # --- place -------------------------------------------------------------------------------------------------
+    def home_position(self, link: Link) -> Values | None:
+        """HOME_POSITION, once known."""
+        a = self.autopilot
+        if not a.home_known:
+            return None
+        x, y, z = (float(value) for value in a.home_ned)
+        latitude, longitude = self.origin.globe_e7(x, y)
+        altitude_mm = round(self.altitude_of(z) * 1000)
+        return (latitude, longitude, altitude_mm, x, y, z, *a.home_quaternion, 0.0, 0.0, 0.0, a.home_set_us)
+
+    def gps_global_origin(self, link: Link) -> Values:
+        """GPS_GLOBAL_ORIGIN: where local (0, 0, 0) is."""
+        o = self.origin
+        return (round(o.latitude_deg * 1e7), round(o.longitude_deg * 1e7), round(o.altitude_m * 1000), 0)
+
+    def global_position_int(self, link: Link) -> Values | None:
+        """GLOBAL_POSITION_INT from the estimate."""
+        a = self.autopilot
+        if not a.home_known or not a.core.position_valid:
+            return None
+        x, y, z = (float(value) for value in a.core.position_ned)
+        vx, vy, vz = (_int16(100.0 * float(value)) for value in a.core.velocity_ned)
+        latitude, longitude = self.origin.globe_e7(x, y)
+        heading = round(math.degrees(a.core.yaw) % 360.0 * 100) % 36000
+        above_home = round((float(a.home_ned[2]) - z) * 1000)
+        return (
+            a.time_us // 1000,
+            latitude,
+            longitude,
+            round(self.altitude_of(z) * 1000),
+            above_home,
+            vx,
+            vy,
+            vz,
+            heading,
+        )
+
+    def gps_raw_int(self, link: Link) -> Values:
+        """GPS_RAW_INT: the estimate as a receiver with 10 satellites would report it."""
+        a = self.autopilot
+        x, y, z = (float(value) for value in a.core.position_ned)
+        vx, vy = float(a.core.velocity_ned[0]), float(a.core.velocity_ned[1])
+        latitude, longitude = self.origin.globe_e7(x, y)
+        altitude = round(self.altitude_of(z) * 1000)
+        course = round(math.degrees(math.atan2(vy, vx)) % 360.0 * 100) % 36000
+        speed = min(round(100.0 * math.hypot(vx, vy)), 65534)
+        fix = 3 if a.core.position_valid else 1
+        head = (a.time_us, latitude, longitude, altitude, 70, 110, speed, course, fix, 10)
+        return (*head, altitude, 900, 1780, 400, 0, 0)
+
+    def altitude(self, link: Link) -> Values:
+        """ALTITUDE."""
+        a = self.autopilot
+        z = float(a.core.position_ned[2])
+        above_sea = self.altitude_of(z)
+        above_home = float(a.home_ned[2]) - z
+        return (a.time_us, above_sea, above_sea, -z, above_home, -float(a.home_ned[2]), max(above_home, 0.0))
+
+    def distance_sensor(self, link: Link) -> Values:
+        """DISTANCE_SENSOR looking down."""
+        a = self.autopilot
+        height = max(float(a.core.environment[body.GROUND_DOWN] - a.core.state[body.POSITION + 2]), 0.0)
+        height -= a.core.vehicle.foot_height_m
+        centimetres = min(max(round(100.0 * height), 0), 10000)
+        return (a.time_us // 1000, 0, 10000, centimetres, 0, 0, 25, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
+
+    def vfr_hud(self, link: Link) -> Values:
+        """VFR_HUD."""
+        a = self.autopilot
+        vx, vy, vz = (float(value) for value in a.core.velocity_ned)
+        throttle = round(100.0 * float(a.core.memory[at.OUT_THRUST])) if a.commander.armed else 0
+        heading = int(math.degrees(a.core.yaw) % 360.0)
+        altitude = self.altitude_of(float(a.core.position_ned[2]))
+        return (NAN, math.hypot(vx, vy), altitude, -vz, heading, throttle)
+
+    def scaled_pressure(self, link: Link) -> Values:
+        """SCALED_PRESSURE of the standard atmosphere."""
+        a = self.autopilot
+        return (a.time_us // 1000, self._pressure_hpa(), 0.0, 1180, 0)
+
+    def _pressure_hpa(self) -> float:
+        altitude = self.altitude_of(float(self.autopilot.core.position_ned[2]))
+        return 1013.25 * float((1.0 - 2.25577e-5 * altitude) ** 5.25588)
+
+    # --- motion ------------------------------------------------------------------------------------------------
+    def attitude(self, link: Link) -> Values:
+        """ATTITUDE: Euler angles of the estimate."""
+        core = self.autopilot.core
+        w, x, y, z = (float(value) for value in core.quaternion)
+        roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+        pitch = math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0))
+        yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        p, q, r = (float(value) for value in core.body_rate_frd)
+        return (core.time_us // 1000, roll, pitch, yaw, p, q, r)
+
+    def attitude_quaternion(self, link: Link) -> Values:
+        """ATTITUDE_QUATERNION."""
+        core = self.autopilot.core
+        q, rates = core.quaternion.tolist(), core.body_rate_frd.tolist()
+        return (core.time_us // 1000, *q, *rates, 0.0, 0.0, 0.0, 0.0)
+
+    def local_position_ned(self, link: Link) -> Values:
+        """LOCAL_POSITION_NED; PX4 goes on sending it when position is invalid."""
+        core = self.autopilot.core
+        return (core.time_us // 1000, *core.position_ned.tolist(), *core.velocity_ned.tolist())
+
+    def odometry(self, link: Link) -> Values:
+        """ODOMETRY of the estimate: MAV_FRAME_LOCAL_NED for both, as PX4 sends it."""
+        core = self.autopilot.core
+        preset = core.estimator.preset
+        pose = [NAN] * 21
+        velocity = [NAN] * 21
+        for axis, index in enumerate((0, 6, 11)):
+            pose[index] = preset.position.sd[axis] ** 2
+            velocity[index] = preset.velocity.sd[axis] ** 2
+        for axis, index in enumerate((15, 18, 20)):
+            pose[index] = preset.attitude.sd[axis] ** 2
+        resets = int(core.estimate[19] + core.estimate[20]) & 0xFF
+        motion = (*core.position_ned.tolist(), *core.quaternion.tolist(), *core.velocity_ned.tolist())
+        return (core.time_us, *motion, *core.body_rate_frd.tolist(), *pose, *velocity, 1, 1, resets, 8, 0)
+
+    def highres_imu(self, link: Link) -> Values:
+        """HIGHRES_IMU."""
+        core = self.autopilot.core
+        pressure = self._pressure_hpa()
+        altitude = self.altitude_of(float(core.position_ned[2]))
+        force, rates = core.specific_force_frd.tolist(), core.body_rate_frd.tolist()
+        # earth's field at the captures' place, gauss, turned into the body
+        w, x, y, z = core.quaternion.tolist()
+        north, down = 0.2032, 0.4264
+        field = (
+            (1 - 2 * (y * y + z * z)) * north + 2 * (x * z - w * y) * down,
+            2 * (x * y - w * z) * north + 2 * (y * z + w * x) * down,
+            2 * (x * z + w * y) * north + (1 - 2 * (x * x + y * y)) * down,
+        )
+        return (core.time_us, *force, *rates, *field, pressure, 0.0, altitude, 15.0, 511, 0)
+
+    def hil_state_quaternion(self, link: Link) -> Values:
+        """HIL_STATE_QUATERNION: the truth. Latitude and longitude resolve 1.1 cm, altitude 1 mm."""
+        core = self.autopilot.core
+        s = core.state
+        x, y, z = s[body.POSITION_NED].tolist()
+        velocity = s[body.VELOCITY_NED].tolist()
+        latitude, longitude = self.origin.globe_e7(x, y)
+        force = s[body.SPECIFIC_FORCE_FRD].tolist()
+        airspeed = min(round(100.0 * math.sqrt(sum(v * v for v in velocity))), 65535)
+        head = (core.time_us, *s[body.QUATERNION_WXYZ].tolist(), *s[body.BODY_RATE_FRD].tolist())
+        place = (latitude, longitude, round(self.altitude_of(z) * 1000))
+        motion = tuple(_int16(100.0 * v) for v in velocity)
+        return (*head, *place, *motion, airspeed, airspeed, *(_int16(v / 9.80665 * 1000) for v in force))
+
+    # --- targets -----------------------------------------------------------------------------------------------
+    def attitude_target(self, link: Link) -> Values:
+        """ATTITUDE_TARGET: what the attitude and rate loops follow."""
+        a = self.autopilot
+        m = a.core.memory
+        mask = 0
+        head = (a.time_us // 1000, *m[at.OUT_QUATERNION : at.OUT_QUATERNION + 4].tolist())
+        return (*head, *m[at.OUT_RATES : at.OUT_RATES + 3].tolist(), float(m[at.OUT_THRUST]), mask)
+
+    def _follows_trajectory(self) -> bool:
+        return float(self.autopilot.core.setpoint[at.KIND]) == at.KIND_TRAJECTORY
+
+    def position_target_local_ned(self, link: Link) -> Values | None:
+        """POSITION_TARGET_LOCAL_NED: the position controller's setpoint; silent while it does not run in the air."""
+        a = self.autopilot
+        if a.commander.armed and not self._follows_trajectory():
+            return None
+        if not a.commander.armed:
+            if a.commander.mode is Mode.OFFBOARD:
+                return None
+            values = (NAN,) * 6 + (0.0, 0.0, 100.0, a.core.yaw, 0.0)
+            return (a.time_us // 1000, *values, 63, 1)
+        s, m = a.core.setpoint, a.core.memory
+        position = s[at.POSITION : at.POSITION + 3].tolist()
+        velocity = m[at.OUT_VELOCITY : at.OUT_VELOCITY + 3].tolist()
+        acceleration = m[at.OUT_ACCELERATION : at.OUT_ACCELERATION + 3].tolist()
+        mask = sum(1 << bit for bit, value in enumerate(position) if value != value)
+        return (
+            a.time_us // 1000,
+            *position,
+            *velocity,
+            *acceleration,
+            float(s[at.YAW]),
+            float(s[at.YAW_RATE]),
+            mask,
+            1,
+        )
+
+    def position_target_global_int(self, link: Link) -> Values | None:
+        """POSITION_TARGET_GLOBAL_INT in automatic modes."""
+        a = self.autopilot
+        if not (a.commander.armed and a.commander.mode.is_auto and self._follows_trajectory()):
+            return None
+        s, m = a.core.setpoint, a.core.memory
+        target = a.navigator.target
+        latitude, longitude = self.origin.globe_e7(float(target[0]), float(target[1]))
+        velocity = m[at.OUT_VELOCITY : at.OUT_VELOCITY + 3].tolist()
+        acceleration = m[at.OUT_ACCELERATION : at.OUT_ACCELERATION + 3].tolist()
+        altitude = self.altitude_of(float(target[2]))
+        yaw = float(s[at.YAW])
+        return (a.time_us // 1000, latitude, longitude, altitude, *velocity, *acceleration, yaw, 0.0, 0, 5)
+
+    def servo_output_raw(self, link: Link) -> Values:
+        """SERVO_OUTPUT_RAW: 900 disarmed, 1000..2000 µs armed."""
+        a = self.autopilot
+        count = a.core.vehicle.rotor_count
+        outputs = [900] * 16
+        if a.commander.armed:
+            for i, value in enumerate(a.core.motors[:count].tolist()):
+                outputs[i] = round(1000.0 + 1000.0 * value)
+        return (a.time_us & 0xFFFFFFFF, *outputs[:8], 0, *outputs[8:])
+
+    # --- on request --------------------------------------------------------------------------------------------
+    def autopilot_version(self, link: Link) -> Values:
+        """AUTOPILOT_VERSION."""
+        version = self.autopilot.version.flight_sw_version
+        custom = struct.pack("<Q", 0xD6F12AD1C4000000)
+        head = (CAPABILITIES, 5283920058631409231, version, version, 101854463, 1, 0, 0)
+        return (*head, *custom, *custom, *bytes(8), *bytes(18))

@@ -1,0 +1,292 @@
+"""MAVLink frames to values and back, MAVLink 1 and 2, without shared parse state between datagrams.
+
+pymavlink supplies the message tables; packing and splitting are done here because a lockstep flight at
+20 times real time sends some 10,000 frames a second and pymavlink's own message objects cost several times
+more. Messages newer than pymavlink's tables (PX4 1.17 sends some) are added in `NEWER_MESSAGES`.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from fastcrc.crc16 import mcrf4xx as _crc
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+MAVLINK1_MAGIC = 0xFE
+MAVLINK2_MAGIC = 0xFD
+SIGNED_FLAG = 0x01
+SIGNATURE_BYTES = 13
+BROADCAST = 0
+
+# name -> (message id, CRC extra, wire format, field names in wire order). The CRC extras were found from
+# the checksums of frames in the PX4 1.17 capture.
+NEWER_MESSAGES: dict[str, tuple[int, int, str, tuple[str, ...]]] = {
+    "LINK_NODE_STATUS": (8, 117, "<QIIIIIHHHBBBB", ()),
+    "TIME_ESTIMATE_TO_TARGET": (380, 232, "<iiiii", ()),
+    "EVENT": (
+        410,
+        160,
+        "<IIHBBB40s",
+        ("id", "event_time_boot_ms", "sequence", "destination_component", "destination_system", "log_levels",
+         "arguments"),
+    ),
+    "CURRENT_EVENT_SEQUENCE": (411, 106, "<HB", ("sequence", "flags")),
+    "CURRENT_MODE": (436, 193, "<IIB", ("custom_mode", "intended_custom_mode", "standard_mode")),
+    "GNSS_INTEGRITY": (441, 169, "<IHHBBBBBBBBB", ()),
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class MessageLayout:
+    """How one message lies on the wire."""
+
+    name: str
+    message_id: int
+    crc_extra: int
+    packer: struct.Struct
+    fields: tuple[str, ...]
+    """Field names in wire order."""
+    array_lengths: tuple[int, ...]
+    """Values each field takes from the unpacked tuple: 0 for a scalar, -1 for a string, else the count."""
+    mavlink1_length: int
+    """Payload length without MAVLink 2 extension fields, bytes."""
+
+
+def _build_layouts() -> tuple[dict[str, MessageLayout], dict[int, MessageLayout]]:
+    by_name: dict[str, MessageLayout] = {}
+    for message_id, cls in dialect.mavlink_map.items():
+        names = tuple(cls.ordered_fieldnames)
+        # pymavlink keeps array lengths in wire order; strings are one value of the unpacked tuple.
+        lengths = []
+        for index, name in enumerate(names):
+            wire_type = cls.fieldtypes[cls.fieldnames.index(name)]
+            lengths.append(-1 if wire_type == "char" else cls.array_lengths[index])
+        by_name[cls.msgname] = MessageLayout(
+            cls.msgname, message_id, cls.crc_extra, cls.unpacker, names, tuple(lengths), cls.unpacker.size
+        )
+    for name, (message_id, extra, wire_format, names) in NEWER_MESSAGES.items():
+        packer = struct.Struct(wire_format)
+        lengths = [-1 if field_name == "arguments" else 0 for field_name in names]
+        by_name[name] = MessageLayout(name, message_id, extra, packer, names, tuple(lengths), packer.size)
+    return by_name, {layout.message_id: layout for layout in by_name.values()}
+
+
+LAYOUTS, LAYOUTS_BY_ID = _build_layouts()
+
+
+@dataclass(slots=True)
+class Received:
+    """One message as it came off the wire."""
+
+    name: str
+    system: int
+    component: int
+    mavlink_version: int
+    values: dict[str, Any]
+
+    def __getattr__(self, name: str) -> Any:
+        try:
+            return self.values[name]
+        except KeyError:
+            raise AttributeError(name) from None
+
+
+@dataclass(slots=True)
+class LinkCounters:
+    """What arrived on a link and what had to be thrown away."""
+
+    received: int = 0
+    bad_checksum: int = 0
+    truncated: int = 0
+    unknown: int = 0
+    garbage_bytes: int = 0
+    sent: int = 0
+
+    @property
+    def dropped(self) -> int:
+        """Frames that could not be used."""
+        return self.bad_checksum + self.truncated + self.unknown
+
+
+def unpack_payload(layout: MessageLayout, payload: bytes) -> dict[str, Any]:
+    """Fields of a payload by name; MAVLink 2's cut trailing zeros are put back."""
+    size = layout.packer.size
+    if len(payload) < size:
+        payload += bytes(size - len(payload))
+    flat = layout.packer.unpack_from(payload)
+    values: dict[str, Any] = {}
+    at = 0
+    for name, count in zip(layout.fields, layout.array_lengths, strict=True):
+        if count > 0:
+            values[name] = flat[at : at + count]
+            at += count
+        else:
+            item = flat[at]
+            values[name] = (
+                item.split(b"\0", 1)[0].decode("ascii", "replace") if isinstance(item, bytes) else item
+            )
+            at += 1
+    return values
+
+
+@dataclass(slots=True)
+class FrameReader:
+    """Splits bytes into messages.
+
+    For datagrams `read_datagram` keeps nothing from one call to the next, so that a truncated datagram cannot
+    swallow the next one; for TCP `read_stream` keeps the unfinished tail.
+    """
+
+    counters: LinkCounters = field(default_factory=LinkCounters)
+    tail: bytes = b""
+
+    def read_datagram(self, data: bytes) -> list[Received]:
+        """Messages of one UDP datagram; whatever is broken is counted and skipped."""
+        messages, rest = self._split(data)
+        if rest:
+            self.counters.truncated += 1
+        return messages
+
+    def read_stream(self, data: bytes) -> list[Received]:
+        """Messages completed by these bytes of a byte stream."""
+        messages, self.tail = self._split(self.tail + data)
+        return messages
+
+    def _split(self, data: bytes) -> tuple[list[Received], bytes]:
+        return list(self._frames(data)), self._rest
+
+    _rest: bytes = b""
+
+    def _frames(self, data: bytes) -> Iterator[Received]:
+        at = 0
+        end = len(data)
+        counters = self.counters
+        self._rest = b""
+        while at < end:
+            magic = data[at]
+            if magic == MAVLINK2_MAGIC:
+                header = 10
+            elif magic == MAVLINK1_MAGIC:
+                header = 6
+            else:
+                counters.garbage_bytes += 1
+                at += 1
+                continue
+            if end - at < header:
+                self._rest = data[at:]
+                return
+            length = data[at + 1]
+            total = header + length + 2
+            if magic == MAVLINK2_MAGIC:
+                incompatible = data[at + 2]
+                if incompatible & ~SIGNED_FLAG:
+                    counters.garbage_bytes += 1
+                    at += 1
+                    continue
+                if incompatible & SIGNED_FLAG:
+                    total += SIGNATURE_BYTES
+                message_id = data[at + 7] | data[at + 8] << 8 | data[at + 9] << 16
+                system, component = data[at + 5], data[at + 6]
+            else:
+                message_id = data[at + 5]
+                system, component = data[at + 3], data[at + 4]
+            if end - at < total:
+                self._rest = data[at:]
+                return
+            layout = LAYOUTS_BY_ID.get(message_id)
+            if layout is None:
+                counters.unknown += 1
+                at += total
+                continue
+            body_end = at + header + length
+            checksum = _crc(data[at + 1 : body_end] + bytes((layout.crc_extra,)))
+            if checksum != data[body_end] | data[body_end + 1] << 8:
+                # Resynchronise at the next byte: a false start inside garbage must not swallow a whole frame.
+                counters.bad_checksum += 1
+                at += 1
+                continue
+            counters.received += 1
+            values = unpack_payload(layout, data[at + header : body_end])
+            version = 2 if magic == MAVLINK2_MAGIC else 1
+            yield Received(layout.name, system, component, version, values)
+            at += total
+
+
+@dataclass(slots=True)
+class FrameWriter:
+    """Builds frames from one system and component, with its own sequence number.
+
+    `version` starts at 2 and becomes 1 only while the other side speaks MAVLink 1 (set by the link).
+    """
+
+    system: int = 1
+    component: int = 1
+    version: int = 2
+    sequence: int = 0
+
+    def frame(self, layout: MessageLayout, values: tuple[Any, ...]) -> bytes:
+        """One frame of `values` in wire order (arrays flattened)."""
+        return self.frame_of_payload(layout, layout.packer.pack(*values))
+
+    def frame_of_payload(self, layout: MessageLayout, payload: bytes) -> bytes:
+        """One frame of a payload already packed."""
+        sequence = self.sequence
+        self.sequence = (sequence + 1) & 0xFF
+        message_id = layout.message_id
+        if self.version == 2:
+            payload = payload.rstrip(b"\0") or b"\0"
+            body = (
+                bytes((len(payload), 0, 0, sequence, self.system, self.component))
+                + message_id.to_bytes(3, "little")
+                + payload
+            )
+            start = b"\xfd"
+        else:
+            payload = payload[: mavlink1_length(layout)]
+            body = bytes((len(payload), sequence, self.system, self.component, message_id)) + payload
+            start = b"\xfe"
+        return start + body + _crc(body + bytes((layout.crc_extra,))).to_bytes(2, "little")
+
+
+_MAVLINK1_LENGTHS: dict[str, int] = {
+    # Messages with MAVLink 2 extension fields that the firmwares send: length of the base part, bytes.
+    "ATTITUDE_QUATERNION": 32,
+    "BATTERY_STATUS": 36,
+    "COMMAND_ACK": 3,
+    "GPS_RAW_INT": 30,
+    "HIGHRES_IMU": 62,
+    "HOME_POSITION": 52,
+    "GPS_GLOBAL_ORIGIN": 12,
+    "SERVO_OUTPUT_RAW": 21,
+    "STATUSTEXT": 51,
+    "SYS_STATUS": 31,
+    "TIMESYNC": 16,
+    "AUTOPILOT_VERSION": 60,
+    "DISTANCE_SENSOR": 14,
+    "SCALED_PRESSURE": 14,
+    "MISSION_CURRENT": 2,
+    "SIM_STATE": 84,
+}
+
+
+def mavlink1_length(layout: MessageLayout) -> int:
+    """Payload bytes of a message in a MAVLink 1 frame: without its extension fields."""
+    return _MAVLINK1_LENGTHS.get(layout.name, layout.mavlink1_length)
+
+
+def pack_fields(layout: MessageLayout, fields: dict[str, Any]) -> tuple[Any, ...]:
+    """Values in wire order from fields by name; a field left out is zero, a short array is filled with zeros."""
+    values: list[Any] = []
+    for name, count in zip(layout.fields, layout.array_lengths, strict=True):
+        value = fields.get(name, b"" if count < 0 else 0)
+        if count > 0:
+            items = list(value) if value else []
+            values.extend(items + [0] * (count - len(items)))
+        elif isinstance(value, str):
+            values.append(value.encode("ascii", "replace"))
+        else:
+            values.append(value)
+    return tuple(values)

@@ -1,0 +1,159 @@
+"""`Stub`: the stub as a process of its own, for tests and scripts.
+
+    with Stub(lockstep=True, seed=3) as stub:
+        fly(stub.endpoint)
+
+The process is gone when the block is left, however it is left; if this process dies, the stub notices and ends too.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import selectors
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from types import TracebackType
+from typing import Any
+
+
+class StubError(RuntimeError):
+    """The stub did not start, or ended with an error; the text is its own."""
+
+
+class Stub:
+    """A running stub on free ports. Keyword arguments are the options of `sitl-stub`."""
+
+    def __init__(
+        self,
+        firmware: str = "px4",
+        vehicle: str = "qball2",
+        estimator: str = "mocap",
+        seed: int = 0,
+        *,
+        lockstep: bool = False,
+        speed: float = 1.0,
+        wind: str = "0",
+        mass_kg: float | None = None,
+        parameters: Mapping[str, float] | None = None,
+        transport: str = "udp",
+        duration_s: float | None = None,
+        exit_on_disarm: bool = False,
+        arguments: Sequence[str] = (),
+        ready_timeout_s: float = 20.0,
+    ) -> None:
+        """`transport`: `udp` (the stub speaks first, as PX4), `udp-server` or `tcp`. `arguments` are added as they are."""
+        links = {
+            "udp": ["--port", "0"],
+            "udp-server": ["--udp-server", "127.0.0.1:0"],
+            "tcp": ["--tcp", "127.0.0.1:0"],
+        }
+        if transport not in links:
+            raise ValueError(f"transport {transport!r}: choose from {', '.join(links)}")
+        command = [sys.executable, "-m", "sitl_stub", "--json", "--firmware", firmware, "--vehicle", vehicle]
+        command += [
+            "--estimator",
+            estimator,
+            "--seed",
+            str(seed),
+            "--wind",
+            wind,
+            "--speed",
+            str(speed),
+            *links[transport],
+        ]
+        command += ["--lockstep"] if lockstep else []
+        command += ["--exit-on-disarm"] if exit_on_disarm else []
+        command += ["--mass", str(mass_kg)] if mass_kg is not None else []
+        command += ["--duration", str(duration_s)] if duration_s is not None else []
+        for name, value in (parameters or {}).items():
+            command += ["--param", f"{name}={value}"]
+        self.command = [*command, "--die-with-parent", *arguments]
+        self.ready_timeout_s = ready_timeout_s
+        self.process: subprocess.Popen[str] | None = None
+        self.ready: dict[str, Any] = {}
+        self.summary: dict[str, Any] | None = None
+        """The stub's last line, once it has ended by itself or been stopped."""
+
+    def __enter__(self) -> Stub:
+        self.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    @property
+    def endpoint(self) -> str:
+        """Where a client connects, in pymavlink's spelling (`udpin:127.0.0.1:PORT`)."""
+        return str(self.ready["endpoint"])
+
+    @property
+    def mavsdk_address(self) -> str:
+        """The same in MAVSDK's spelling (`udpin://127.0.0.1:PORT`)."""
+        kind, host, port = self.endpoint.split(":")
+        return f"{ {'tcp': 'tcpout'}.get(kind, kind) }://{host}:{port}"
+
+    @property
+    def running(self) -> bool:
+        """Whether the process lives."""
+        return self.process is not None and self.process.poll() is None
+
+    def start(self) -> None:
+        """Start and wait for the ready line; raises StubError with the stub's own message."""
+        self.process = subprocess.Popen(
+            self.command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True
+        )
+        assert self.process.stdout is not None
+        with selectors.DefaultSelector() as selector:
+            selector.register(self.process.stdout, selectors.EVENT_READ)
+            line = self.process.stdout.readline() if selector.select(self.ready_timeout_s) else ""
+        try:
+            self.ready = json.loads(line)
+        except json.JSONDecodeError:
+            self.process.kill()
+            _, errors = self.process.communicate()
+            raise StubError(
+                errors.strip() or f"no ready line from the stub within {self.ready_timeout_s} s"
+            ) from None
+
+    def wait(self, timeout_s: float = 60.0) -> int:
+        """Wait for the stub to end by itself; returns its exit code. Raises subprocess.TimeoutExpired."""
+        assert self.process is not None
+        output, _ = self.process.communicate(timeout=timeout_s)
+        self._read_summary(output)
+        return self.process.returncode
+
+    def stop(self) -> None:
+        """End the process: politely, then not."""
+        process = self.process
+        if process is None:
+            return
+        if process.poll() is None:
+            with contextlib.suppress(ProcessLookupError):
+                process.send_signal(signal.SIGTERM)
+        try:
+            output, _ = process.communicate(timeout=5.0)
+            self._read_summary(output)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.communicate()
+        except ValueError:
+            pass  # its output has been read to the end already
+
+    def _read_summary(self, output: str) -> None:
+        for line in output.splitlines():
+            with contextlib.suppress(json.JSONDecodeError):
+                self.summary = json.loads(line)
+
+
+def watch_parent(stop: Any, parent: int, interval_s: float = 0.5) -> None:
+    """Call `stop()` when the process `parent` is no longer the parent of this one (run in a daemon thread)."""
+    while os.getppid() == parent:
+        time.sleep(interval_s)
+    stop()
