@@ -50,11 +50,9 @@ def linear(time_s: Array, value: Array, at_s: Array) -> Array:
 
 def strictly_rising(time_s: Array) -> NDArray[np.intp]:
     """Return the indices of the samples that come later than all before them."""
-    if not len(time_s):
-        return np.zeros(0, dtype=np.intp)
-    latest = np.maximum.accumulate(time_s)
-    keep = np.concatenate(([True], time_s[1:] > latest[:-1]))
-    return np.flatnonzero(keep & np.isfinite(time_s))
+    known = np.where(np.isfinite(time_s), time_s, -np.inf)
+    before = np.concatenate(([-np.inf], np.maximum.accumulate(known)[:-1])) if len(known) else known
+    return np.flatnonzero(known > before)
 
 
 def _left(time_s: Array, at_s: Array) -> NDArray[np.intp]:
