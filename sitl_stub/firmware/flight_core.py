@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,7 +76,12 @@ class FlightCore:
         periods = (time_us - self.time_us) // CONTROL_PERIOD_US
         if periods <= 0:
             return
-        loop.fly(
+        loop.fly(*self.fly_arguments(), periods)
+        self.time_us += periods * CONTROL_PERIOD_US
+
+    def fly_arguments(self) -> tuple[Any, ...]:
+        """All arguments of the compiled `fly` but the last (`periods`): arrays shared with this object, and constants."""
+        return (
             self.state,
             *self.estimator.arguments,
             self.wind.wind,
@@ -92,9 +98,7 @@ class FlightCore:
             PHYSICS_STEPS,
             POSITION_LOOP_US // CONTROL_PERIOD_US,
             self.integrate,
-            periods,
         )
-        self.time_us += periods * CONTROL_PERIOD_US
 
     # --- what the autopilot believes ---------------------------------------------------------------------------
     @property
