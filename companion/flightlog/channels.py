@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 TIME_FIELD = "time_s"
+WALL_FIELDS_KEY = "wall_fields"  # in the channel's metadata: comma-separated
 CDR_HEADER = b"\x00\x01\x00\x00"  # plain CDR, little endian
 _FIELD_NAME = re.compile(r"[a-z](?:[a-z0-9]|_(?!_))*")  # what ROS 2 allows in a message definition
 _TOPIC = re.compile(r"(?:/[a-z0-9_]+)+")
@@ -66,6 +67,7 @@ class ChannelSpec:
     fields: tuple[FieldSpec, ...]
     pose: tuple[str, str | None] | None = None
     wall_clock: bool = False  # differs between two runs of one seed: left out of the digest
+    wall_fields: tuple[str, ...] = ()  # the same for single fields
     width: int = field(init=False)  # doubles given to record(), without time_s
     byte_length: int = field(init=False)  # of one message: header, time_s, the fields
 
@@ -80,6 +82,8 @@ class ChannelSpec:
         for name, wanted in zip(self.pose or (), (3, 4), strict=False):
             if name is not None and self.slice_of(name).stop - self.slice_of(name).start != wanted:
                 raise ValueError(f"topic {self.topic}: pose field {name!r} needs {wanted} numbers")
+        for name in self.wall_fields:
+            self.slice_of(name)
         object.__setattr__(self, "width", sum(item.width for item in self.fields))
         object.__setattr__(self, "byte_length", len(CDR_HEADER) + 8 * (1 + self.width))
 
@@ -205,6 +209,7 @@ ESTIMATES = ChannelSpec(
         FieldSpec("state_delay_s", 1, "s", "by which the state was extrapolated"),
         FieldSpec("battery_volt", 1, "V"),
     ),
+    wall_fields=("clock_offset_s", "round_trip_s"),
 )
 """Slow estimates; NaN where there is none."""
 

@@ -1,8 +1,9 @@
 """What a log says, in one number: equal for two runs of the same seed, whatever the wall clock did.
 
-Left out: channels marked as wall clock (/timing), event fields named `wall_…`, metadata named `wall…` or
-`clock`, and the fixed offset between autopilot time and UTC. Chunks, compression and the interleaving of
-channels do not count either.
+Left out: channels and fields marked as wall clock (/timing, the clock offset), event fields named
+`wall_…`, metadata named `wall…` or `clock`, the fixed offset between autopilot time and UTC, and what
+TIMESYNC frames hold, which is the companion's clock by nature (that one came counts). Chunks, compression
+and the interleaving of channels do not count either; Foxglove's poses are made of /state and the rest.
 """
 
 from __future__ import annotations
@@ -10,12 +11,14 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 
 from companion.flightlog import events
+from companion.flightlog.channels import CDR_HEADER, WALL_FIELDS_KEY, parse_definition
 from companion.flightlog.reader import RawChannel, RawLog, read_raw
 
-_PROTOBUF = "protobuf"
+TIMESYNC_ID = 111
+_FRAME_OFFSET = 16  # CDR header, time, length; then the frame
 
 
 def digest(path: str | os.PathLike[str], *, without: Collection[str] = ()) -> str:
@@ -28,17 +31,15 @@ def digest(path: str | os.PathLike[str], *, without: Collection[str] = ()) -> st
 
 
 def digests(path: str | os.PathLike[str]) -> dict[str, str]:
-    """Return a digest by topic, by `metadata:name` and by `attachment:name`: where two logs differ.
-
-    Foxglove's poses are left out: they are made of /state and the rest, with UTC inside.
-    """
+    """Return a digest by topic, by `metadata:name` and by `attachment:name`: where two logs differ."""
     raw = read_raw(path)
-    offset = _utc_offset_ns(raw)
-    parts = {
-        item.topic: _of_channel(item, offset)
-        for item in raw.channels
-        if item.metadata.get("wall_clock") != "true" and item.encoding != _PROTOBUF and item.messages
-    }
+    parts = {}
+    for item in _counted(raw):
+        total = hashlib.sha256(item.schema_data)
+        for time_ns, body in _content(item, _utc_offset_ns(raw)):
+            total.update(b"%d %d\n" % (time_ns, len(body)))
+            total.update(body)
+        parts[item.topic] = total.hexdigest()
     for name, values in raw.metadata:
         if name != "clock" and not name.startswith("wall"):
             text = json.dumps(values, sort_keys=True)
@@ -48,6 +49,44 @@ def digests(path: str | os.PathLike[str]) -> dict[str, str]:
     return parts
 
 
+def differences(first: str | os.PathLike[str], second: str | os.PathLike[str]) -> list[str]:
+    """Say where two logs part: for each topic that differs the first record that does, the earliest topic first."""
+    raws = read_raw(first), read_raw(second)
+    channels = [{item.topic: item for item in _counted(raw)} for raw in raws]
+    found: list[tuple[int, str]] = []
+    for topic in sorted(channels[0].keys() | channels[1].keys()):
+        pair = [by_topic.get(topic) for by_topic in channels]
+        if pair[0] is None or pair[1] is None:
+            found.append((0, f"{topic}: only in the {'second' if pair[0] is None else 'first'}"))
+            continue
+        rows = [
+            list(_content(item, _utc_offset_ns(raw)))
+            for item, raw in zip(pair, raws, strict=True)
+            if item is not None
+        ]
+        counts = f"{len(rows[0])} and {len(rows[1])} records"
+        for number, (left, right) in enumerate(zip(*rows, strict=False)):
+            if left != right:
+                times = f"at {left[0] / 1e9:.6f} s" + (
+                    f" and {right[0] / 1e9:.6f} s" if right[0] != left[0] else ""
+                )
+                found.append((min(left[0], right[0]), f"{topic}: record {number} {times}; {counts}"))
+                break
+        else:
+            if len(rows[0]) != len(rows[1]):
+                shorter = min(rows, key=len)
+                found.append(
+                    (shorter[-1][0] if shorter else 0, f"{topic}: equal as far as both go; {counts}")
+                )
+    return [text for _, text in sorted(found)]
+
+
+def _counted(raw: RawLog) -> Iterator[RawChannel]:
+    for item in raw.channels:
+        if item.messages and item.encoding != "protobuf" and item.metadata.get("wall_clock") != "true":
+            yield item
+
+
 def _utc_offset_ns(raw: RawLog) -> int:
     for name, values in raw.metadata:
         if name == "clock":
@@ -55,14 +94,41 @@ def _utc_offset_ns(raw: RawLog) -> int:
     return 0
 
 
-def _of_channel(item: RawChannel, offset: int) -> str:
-    total = hashlib.sha256()
-    total.update(item.schema_data)
+def _content(item: RawChannel, offset: int) -> Iterator[tuple[int, bytes]]:
+    """Yield autopilot time in ns and what of each message counts."""
+    blanks = _wall_slices(item)
     for log_time, message in zip(item.log_times_ns, item.messages, strict=True):
-        body = _without_wall_clock(message) if item.topic == events.TOPIC else message
-        total.update(b"%d %d\n" % (log_time - offset, len(body)))
-        total.update(body)
-    return total.hexdigest()
+        if item.topic == events.TOPIC:
+            message = _without_wall_clock(message)
+        elif item.topic.startswith("/mavlink/") and _message_id(message[_FRAME_OFFSET:]) == TIMESYNC_ID:
+            message = message[:_FRAME_OFFSET]
+        elif blanks:
+            blanked = bytearray(message)
+            for part in blanks:
+                blanked[part] = bytes(part.stop - part.start)
+            message = bytes(blanked)
+        yield log_time - offset, message
+
+
+def _wall_slices(item: RawChannel) -> list[slice]:
+    """Return where in a message the fields marked as wall clock stand."""
+    names = [name for name in item.metadata.get(WALL_FIELDS_KEY, "").split(",") if name]
+    if not names:
+        return []
+    slices, start = [], len(CDR_HEADER)
+    for part in parse_definition(item.schema_data.decode()):
+        stop = start + 8 * part.width
+        if part.name in names:
+            slices.append(slice(start, stop))
+        start = stop
+    return slices
+
+
+def _message_id(frame: bytes) -> int:
+    """Return the id of a MAVLink frame, -1 for what is none."""
+    if len(frame) >= 10 and frame[0] == 0xFD:
+        return int.from_bytes(frame[7:10], "little")
+    return frame[5] if len(frame) >= 6 and frame[0] == 0xFE else -1
 
 
 def _without_wall_clock(message: bytes) -> bytes:

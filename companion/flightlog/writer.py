@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from companion.config.errors import UserError
 from companion.flightlog import events, poses
-from companion.flightlog.channels import CDR_HEADER, ChannelSpec
+from companion.flightlog.channels import CDR_HEADER, WALL_FIELDS_KEY, ChannelSpec
 from companion.flightlog.health import LogHealth, free_bytes, open_for_writing
 from companion.flightlog.mcap_file import McapFile
 
@@ -357,6 +357,8 @@ class FlightLog:
             pose = file.add_channel(f"/pose/{channel.frame}", "protobuf", self._pose_schema)
             channel.pose_ids = (pose, self._by_topic["tf"])
         note = {"wall_clock": "true"} if spec.wall_clock else {}
+        if spec.wall_fields:
+            note[WALL_FIELDS_KEY] = ",".join(spec.wall_fields)
         channel.channel_id = file.add_channel(spec.topic, "cdr", schema, note)
 
     def _handle_record(self, channel: Channel, time_s: float, body: bytes) -> None:

@@ -15,8 +15,8 @@ from mcap.stream_reader import StreamReader
 from pymavlink import mavutil
 
 from companion.config.errors import UserError
-from companion.flightlog.channels import REFERENCE, STATE, ChannelSpec, FieldSpec
-from companion.flightlog.digest import digest, digests
+from companion.flightlog.channels import ESTIMATES, REFERENCE, STATE, ChannelSpec, FieldSpec
+from companion.flightlog.digest import differences, digest, digests
 from companion.flightlog.reader import read_log
 from companion.flightlog.tlog import export_tlog
 from companion.flightlog.writer import FlightLog
@@ -226,15 +226,39 @@ def test_digest_knows_what_counts(tmp_path):
     assert digest(a) == digest(same)
     differing = {name for name in digests(a) if digests(a)[name] != digests(other)[name]}
     assert differing == {"/state", "/truth"}
+    assert differences(a, same) == []
+    assert [line.partition(":")[0] for line in differences(a, other)] == ["/state", "/truth"]
     assert "/timing" not in digests(a) and "metadata:wall" not in digests(a)
 
 
 def test_digest_does_not_care_for_utc_or_the_clock_of_events(tmp_path):
     for name, offset, wall in (("a", 5, 1.0), ("b", 10**18, 2.0)):
+        mav = mavutil.mavlink.MAVLink(None)
         with FlightLog(tmp_path / name, {"seed": "1"}, channels=[STATE], utc_offset_ns=offset) as log:
             log.record(log.define(STATE), 1.0, np.zeros(15))
             log.event("ended", 2.0, outcome="completed", wall_s=wall)
+            log.record(log.define(ESTIMATES), 1.0, 0.5, wall, wall, 0.02, 12.0)
+            log.mavlink("in", 1.0, mav.timesync_encode(0, int(wall)).pack(mav))
     assert digest(tmp_path / "a") == digest(tmp_path / "b")
+    assert differences(tmp_path / "a", tmp_path / "b") == []
+
+
+def test_digest_does_care_for_everything_else(tmp_path):
+    mav = mavutil.mavlink.MAVLink(None)
+    found = set()
+    for i, (hover, battery, custom_mode) in enumerate(
+        [(0.5, 12.0, 1), (0.6, 12.0, 1), (0.5, 11.0, 1), (0.5, 12.0, 2)]
+    ):
+        path = tmp_path / f"{i}.mcap"
+        with FlightLog(path, utc_offset_ns=0) as log:
+            log.record(log.define(ESTIMATES), 1.0, hover, 1.0, 2.0, 0.02, battery)
+            mav.seq = 0
+            log.mavlink("out", 1.0, mav.heartbeat_encode(2, 12, 0, custom_mode, 4).pack(mav))
+        found.add(digest(path))
+    assert len(found) == 4
+    assert differences(tmp_path / "0.mcap", tmp_path / "3.mcap") == [
+        "/mavlink/out: record 0 at 1.000000 s; 1 and 1 records"
+    ]
 
 
 @pytest.mark.parametrize("content", [b"", b"\x89MC", b"not a log at all, but long enough", b"\x89MCAP0\r\n"])
