@@ -18,7 +18,7 @@ import math
 import numba
 import numpy as np
 
-from sitl_stub.physics.compiled import compiled
+from sitl_stub.physics.compiled import compiled, compiled_for_threads
 from sitl_stub.physics.ground import ground_holds, lay_to_rest, solve_contacts, touches
 from sitl_stub.physics.vehicle import (
     ANGULAR_DRAG,
@@ -298,7 +298,7 @@ def advance(
         if state[AT_REST] > 0.0:
             # the ground holds it as long as it could with the forces at the end of this step
             rigid_slope(state, parameters, environment, 0, THRUST_END)
-            if not ground_holds(state, parameters, SLOPE):
+            if not (touches(state, parameters, environment) and ground_holds(state, parameters, SLOPE)):
                 state[AT_REST] = 0.0
         if state[AT_REST] == 0.0:
             runge_kutta_step(state, parameters, environment, dt_s)
@@ -314,7 +314,7 @@ def advance(
         drain_battery(state, parameters, dt_s)
 
 
-@numba.njit(cache=True, parallel=True, fastmath=False, error_model="numpy")  # type: ignore[untyped-decorator]
+@compiled_for_threads
 def advance_batch(
     states: FloatArray,
     motor_commands: FloatArray,

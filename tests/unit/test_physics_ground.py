@@ -181,3 +181,13 @@ def test_the_ground_may_lie_elsewhere():
     advance(state, np.zeros(4), p, environment, 1e-3, 3000)
     assert state[2] == pytest.approx(-5.25, abs=1e-4)
     assert state[AT_REST] == 1.0
+
+
+def test_rest_ends_when_the_ground_goes_away():
+    _vehicle, state, p, environment = standing("px4_sih")
+    advance(state, np.zeros(4), p, environment, 1e-3, 10)
+    assert state[AT_REST] == 1.0
+    environment[GROUND_DOWN] += 2.0
+    advance(state, np.zeros(4), p, environment, 1e-3, 500)
+    assert state[AT_REST] == 0.0
+    assert state[2] == pytest.approx(0.5 * 9.80665 * 0.25, rel=0.02)
