@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from companion.analysis.rotation import euler_from_quaternions
-from companion.analysis.tracking import Tracking, desired_euler
+from companion.analysis.tracking import Tracking, along_trajectory, desired_euler
 from companion.flightlog.reader import FlightRecord, NumericChannel
 
 Array = NDArray[np.float64]
@@ -127,6 +127,11 @@ def _sources(
             yield label, color, channel, found[0], found[1]
 
 
+def on_trajectory(position_enu: Array, tracking: Tracking) -> Array:
+    """Return positions (n, 3) m in the trajectory's own frame, where the report draws it."""
+    return along_trajectory(position_enu - tracking.origin_enu, tracking.heading_rad)
+
+
 def path_figure(record: FlightRecord, tracking: Tracking) -> Figure | None:
     """Return the 3D path, desired and flown."""
     reference = record.channel("/reference")
@@ -136,14 +141,14 @@ def path_figure(record: FlightRecord, tracking: Tracking) -> Figure | None:
     flown = list(_sources(record, tracking))[-1:]
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDTH_INCH, 4.3))
-        axes = figure.add_axes((0.0, 0.02, 0.92, 0.92), projection="3d")
-        wanted = reference["position_enu"][found[1]]
+        axes = figure.add_axes((0.0, 0.02, 0.9, 0.92), projection="3d")
+        wanted = on_trajectory(reference["position_enu"][found[1]], tracking)
         axes.plot(
             *wanted[:: max(1, len(wanted) // MOST_POINTS)].T, "--", color=WANTED, label="desired", zorder=3
         )
         points = [wanted]
         for label, color, channel, _, rows in flown:
-            position = channel["position_enu"][rows]
+            position = on_trajectory(channel["position_enu"][rows], tracking)
             axes.plot(*position[:: max(1, len(position) // MOST_POINTS)].T, color=color, label=label)
             points.append(position)
         cloud = np.concatenate(points)
@@ -154,10 +159,10 @@ def path_figure(record: FlightRecord, tracking: Tracking) -> Figure | None:
             (axes.set_xlim, axes.set_ylim, axes.set_zlim), middle, span, strict=True
         ):
             setter(center - 0.55 * size, center + 0.55 * size)
-        axes.set_box_aspect(span, zoom=1.0)
-        axes.set_xlabel("x east [m]", labelpad=6)
-        axes.set_ylabel("y north [m]", labelpad=8)
-        axes.set_zlabel("z up [m]")
+        axes.set_box_aspect(span, zoom=0.95)
+        axes.set_xlabel("x [m]", labelpad=6)
+        axes.set_ylabel("y [m]", labelpad=8)
+        axes.set_zlabel("z [m]")
         axes.locator_params(nbins=5)
         axes.view_init(elev=28, azim=-55)
         figure.legend(loc="upper center", ncols=2)
@@ -172,14 +177,33 @@ def position_figure(record: FlightRecord, tracking: Tracking) -> Figure | None:
         return None
     lines = []
     for label, color, channel, since, rows in _sources(record, tracking):
-        yaw = np.degrees(np.unwrap(euler_from_quaternions(channel["quaternion_wxyz"][rows])[:, 2]))
-        lines.append(Line(label, color, since, np.column_stack((channel["position_enu"][rows], yaw))))
+        yaw = _yaw_deg(euler_from_quaternions(channel["quaternion_wxyz"][rows])[:, 2], tracking)
+        lines.append(
+            Line(
+                label,
+                color,
+                since,
+                np.column_stack((on_trajectory(channel["position_enu"][rows], tracking), yaw)),
+            )
+        )
     rows = found[1]
-    yaw = np.degrees(np.unwrap(reference["yaw_rad"][rows]))
+    yaw = _yaw_deg(reference["yaw_rad"][rows], tracking)
     lines.append(
-        Line("desired", WANTED, found[0], np.column_stack((reference["position_enu"][rows], yaw)), "--")
+        Line(
+            "desired",
+            WANTED,
+            found[0],
+            np.column_stack((on_trajectory(reference["position_enu"][rows], tracking), yaw)),
+            "--",
+        )
     )
     return time_figure(lines, ("x [m]", "y [m]", "z [m]", "ψ [°]"))
+
+
+def _yaw_deg(yaw_rad: Array, tracking: Tracking) -> Array:
+    """Return yaw from the trajectory's heading, without jumps, starting within half a turn."""
+    yaw = np.unwrap(yaw_rad - tracking.heading_rad)
+    return np.degrees(yaw - 2 * np.pi * np.round(yaw[0] / (2 * np.pi)))
 
 
 def position_error_figure(tracking: Tracking) -> Figure | None:

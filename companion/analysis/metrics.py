@@ -31,6 +31,7 @@ class FlightMetrics:
     ended: str
     cut: str
     window_s: tuple[float, float] | None
+    heading_deg: float | None  # yaw of the trajectory's x axis: errors are along its axes
     samples: dict[str, int]  # by source
     values: dict[str, dict[str, Triple]]
     notes: list[str]
@@ -63,6 +64,8 @@ class FlightMetrics:
             "seed": self.seed,
             "ended": self.ended,
             "judged_by": self.judged_by if self.samples else None,
+            "axes": "the trajectory's own",
+            "trajectory_heading_deg": self.heading_deg,
             "samples": self.samples,
             "published_rms": PUBLISHED_RMS.get(self.controller),
             "log": self.log,
@@ -108,6 +111,7 @@ def flight_metrics(
         ended=how_it_ended(record),
         cut=record.cut,
         window_s=tracking.window_s if tracking else None,
+        heading_deg=float(np.degrees(tracking.heading_rad)) if tracking else None,
         samples={source: len(series.tracking_time_s) for source, series in sources.items()},
         values=values,
         notes=notes,

@@ -16,6 +16,7 @@ from companion.analysis.figures import (
     WANTED,
     WIDTH_INCH,
     Line,
+    on_trajectory,
     time_figure,
 )
 from companion.analysis.published import PUBLISHED_RMS
@@ -71,14 +72,15 @@ def plane_figure(comparison: Comparison) -> Figure:
                     continue
                 channel = flight.record.channels[source]
                 since = channel.time_s - start
-                position = channel["position_enu"][(since >= window[0]) & (since <= window[1])]
+                rows = (since >= window[0]) & (since <= window[1])
+                position = on_trajectory(channel["position_enu"][rows], flight.tracking)
                 position = position[:: max(1, len(position) // MOST_POINTS)]
                 line_color = WANTED if source == "/reference" else color
                 order = 3 if source == "/reference" else 2
                 axis.plot(position[:, 0], position[:, 1], style, color=line_color, label=name, zorder=order)
         axis.set_aspect("equal", adjustable="datalim")
-        axis.set_xlabel("x east [m]")
-        axis.set_ylabel("y north [m]")
+        axis.set_xlabel("x [m]")
+        axis.set_ylabel("y [m]")
         figure.legend(loc="outside upper center", ncols=2)
     return figure
 

@@ -41,7 +41,7 @@ def flight_table(metrics: FlightMetrics) -> Group:
             )
     lines = [Text(f"ended: {metrics.ended}", style="green" if metrics.ended == "completed" else "yellow")]
     lines += [Text(f"note: {note}", style="yellow") for note in metrics.notes]
-    return Group(table, *lines)
+    return Group(table, *lines) if metrics.samples else Group(*lines)
 
 
 def _cell(numbers: Triple | None, axis: int, digits: int) -> str:

@@ -1,8 +1,9 @@
 """Errors over time while tracking: position, attitude and yaw, against truth and against the estimate.
 
-Signs as in the report: e_p = p_d - p, e_η = η_d - η with the yaw wrapped. η_d is the attitude that the
-control law wanted (Eqs. (17), (18)) before any lead was added for the autopilot's lag; where a log has
-no terms it is the attitude that was sent.
+Axes are the trajectory's own: a lemniscate laid out along a heading of north has its x along local y, and
+only turned back are its errors those of the report's e_x and e_y. Signs as in the report: e_p = p_d - p,
+e_η = η_d - η with the yaw wrapped. η_d is the attitude that the control law wanted (Eqs. (17), (18)) before
+any lead was added for the autopilot's lag; where a log has no terms it is the attitude that was sent.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ class ErrorSeries:
 
     source: str  # truth or estimate
     tracking_time_s: Array  # (n,) since tracking started
-    position_m: Array  # (n, 3) e_p
+    position_m: Array  # (n, 3) e_p along the trajectory's own axes
     attitude_rad: Array  # (n, 3) e_η; NaN where no η_d was logged
     yaw_rad: Array  # (n,) reference yaw - yaw
 
@@ -39,6 +40,8 @@ class Tracking:
 
     start_s: float  # autopilot time at which tracking started
     window_s: tuple[float, float]  # since then
+    heading_rad: float  # yaw, in local ENU, of the trajectory's x axis
+    origin_enu: Array  # (3,) m, the trajectory's origin in local ENU
     series: dict[str, ErrorSeries]  # by source
     notes: list[str]  # what the reader of the figures has to know
 
@@ -92,22 +95,49 @@ def tracking_errors(
     if window[1] > end - start + 0.1:
         notes.append(f"--to {window[1]:g} is later than the end of tracking at {end - start:.2f} s")
     window = (window[0], min(window[1], end - start))
+    heading, origin = layout(record)
+    if heading is None:
+        notes.append("the log does not say how the trajectory was laid out: x is east, y is north")
     series = {}
     for source, topic in (("truth", "/truth"), ("estimate", "/state")):
         channel = record.channel(topic)
         if channel is None:
             notes.append(f"no {source} in this log")
             continue
-        found = _errors(record, channel, source, start, window)
+        found = _errors(record, channel, source, start, window, heading or 0.0)
         if found is None:
             notes.append(f"no sample of the {source} within the window")
         else:
             series[source] = found
-    return Tracking(start, window, series, notes)
+    return Tracking(start, window, heading or 0.0, origin, series, notes)
+
+
+def layout(record: FlightRecord) -> tuple[float | None, Array]:
+    """Return heading (rad, None where it was not logged) and origin (3,) m of the trajectory in local ENU."""
+    for event in reversed(record.events_of("layout")):
+        try:
+            origin = np.array(event.fields.get("origin_enu", (0.0, 0.0, 0.0)), dtype=np.float64).reshape(3)
+            heading = float(event.fields["heading_rad"])
+        except (KeyError, TypeError, ValueError):
+            continue
+        if np.isfinite(heading) and np.isfinite(origin).all():
+            return heading, origin
+    return None, np.zeros(3)
+
+
+def along_trajectory(vectors_enu: Array, heading_rad: float) -> Array:
+    """Turn vectors (n, 3) from local ENU to the axes of a trajectory laid out along `heading_rad`."""
+    cosine, sine = np.cos(heading_rad), np.sin(heading_rad)
+    return vectors_enu @ np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
 
 
 def _errors(
-    record: FlightRecord, channel: NumericChannel, source: str, start: float, window: tuple[float, float]
+    record: FlightRecord,
+    channel: NumericChannel,
+    source: str,
+    start: float,
+    window: tuple[float, float],
+    heading_rad: float,
 ) -> ErrorSeries | None:
     reference = record.channels["/reference"]
     rows = strictly_rising(reference.time_s)
@@ -128,7 +158,7 @@ def _errors(
     return ErrorSeries(
         source=source,
         tracking_time_s=at - start,
-        position_m=wanted - channel["position_enu"][chosen],
+        position_m=along_trajectory(wanted - channel["position_enu"][chosen], heading_rad),
         attitude_rad=_attitude_error(record, at, euler),
         yaw_rad=wrap_angle(wanted_yaw - euler[:, 2]),
     )

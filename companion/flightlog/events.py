@@ -20,6 +20,7 @@ KINDS: dict[str, str] = {
     "phase": "a flight phase began: phase",
     "mode": "the autopilot's flight mode changed: mode",
     "armed": "armed or disarmed: armed (bool)",
+    "layout": "how the trajectory lies in local ENU: heading_rad (yaw of its x axis), origin_enu [m]",
     "tracking": "tracking began or stopped: active (bool)",
     "status_text": "STATUSTEXT of the autopilot: severity (0 worst .. 7), text",
     "ack": "COMMAND_ACK: command, result",

@@ -128,6 +128,7 @@ def write(
             log.record(timing, time, 0.008 + 1e-4 * rng.random(), 3e-4 + 1e-4 * rng.random(), 5e-6, 3.0)
             log.mavlink("in", time, b"\xfd\x01" + bytes(8))
         if track:
+            log.event("layout", BOOT_S, heading_rad=0.0, origin_enu=[0.0, 0.0, 0.0])
             log.event("phase", TRACK_FROM_S, phase="track")
         if true_state is not None:
             for time in np.arange(BOOT_S + 0.0013, end, 0.01):

@@ -143,8 +143,25 @@ def test_yaw_that_turns_past_half_a_turn_makes_no_false_error(tmp_path):
             late = t + 0.007
             euler = [0.0, 0.0, 2.0 + late - 0.05]
             log.record(truth, late, np.zeros(6), synthetic_flight.quaternion(euler), np.zeros(3))
-    series = tracking_errors(read_log(tmp_path / "a.mcap")).series["truth"]
+    tracking = tracking_errors(read_log(tmp_path / "a.mcap"))
+    assert any("x is east, y is north" in note for note in tracking.notes)
+    series = tracking.series["truth"]
     assert series.yaw_rad == pytest.approx(0.05, abs=1e-9)
+
+
+def test_errors_are_along_the_trajectorys_own_axes(tmp_path):
+    """Laid out along north: its x is local y, its y is local -x."""
+    with FlightLog(tmp_path / "a.mcap", channels=[REFERENCE, TRUTH], utc_offset_ns=0) as log:
+        log.event("layout", 0.0, heading_rad=np.pi / 2, origin_enu=[5.0, 6.0, 0.0])
+        for t in np.arange(0.0, 2.0, 0.01):
+            log.record(log.define(REFERENCE), t, np.zeros(15), np.pi / 2, 0.0, 0.0, t)
+            flown = np.array(
+                [-0.3, -0.1, -0.2, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0]
+            )  # e = (0.3, 0.1, 0.2) east, north, up
+            log.record(log.define(TRUTH), t, flown)
+    tracking = tracking_errors(read_log(tmp_path / "a.mcap"))
+    assert tracking.series["truth"].position_m == pytest.approx(np.tile([0.1, -0.3, 0.2], (200, 1)))
+    assert not any("laid out" in note for note in tracking.notes)
 
 
 def test_nothing_is_interpolated_across_a_gap_in_the_reference(tmp_path):
