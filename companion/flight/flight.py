@@ -30,7 +30,7 @@ from companion.flight.supervisor import Supervisor
 from companion.flight.vehicle import Vehicle
 from companion.mavlink.link import Message, mav
 from companion.mavlink.protocol import message_interval, request_message
-from companion.reference.trajectory import Frame, Trajectory, place
+from companion.reference.trajectory import Frame, Placed, Trajectory, place
 from companion.reference.transit import TransitLimits
 
 _PROGRESS_S = 1.0
@@ -154,6 +154,7 @@ class Flight:
         version = ".".join(map(str, vehicle.version))
         reporter.say(f"{vehicle.adapter.name} {version}, system {vehicle.link.target_system}")
         self._enter(Phase.CHECK)
+        self._ask_for_streams()
         vehicle.read_parameters(vehicle.adapter.parameters_needed())
         self._loop = self._make_loop(vehicle)
         findings = vehicle.adapter.check(vehicle.parameters.values, self._request.level, vehicle.version)
@@ -164,7 +165,6 @@ class Flight:
         refusals = [f for f in findings if f.verdict is Verdict.REFUSAL]
         if refusals:
             raise Refused("; ".join(f"{f.subject} {f.found}: {f.why}: {f.remedy}" for f in refusals))
-        self._ask_for_streams()
         self._enter(Phase.READY)
         vehicle.on_state = self._loop.on_state
         self._wait_until_ready()
@@ -298,6 +298,13 @@ class Flight:
             "trajectory",
             vehicle.link.autopilot_time_s,
             np.array([track.trajectory.sample(float(t)).position_enu for t in moments]),
+        )
+        where = track.trajectory if isinstance(track.trajectory, Placed) else None
+        self._recorder.log.event(  # errors are judged along the trajectory's own axes
+            "layout",
+            vehicle.link.autopilot_time_s,
+            heading_rad=where.heading_rad if where is not None else 0.0,
+            origin_enu=where.origin_enu.tolist() if where is not None else [0.0, 0.0, 0.0],
         )
         loop.follow(self._plan, Supervisor(settings.safety, ground.position_enu), state)
 

@@ -81,7 +81,8 @@ def lay_out(
     rest = leave.sample(leave.duration_s)
     above_home = resting(top.position_enu, ground.yaw_rad)
     back = transit(rest, above_home, limits)
-    hold = Hold(*start.position_enu.tolist(), start.yaw_rad)
+    x_m, y_m, height_m = start.position_enu.tolist()
+    hold = Hold(x_m, y_m, height_m, start.yaw_rad)
     return FlightPlan(
         [
             (Phase.CLIMB, up, up.duration_s),

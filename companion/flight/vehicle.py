@@ -53,7 +53,7 @@ class Vehicle:
     # Waiting ----------------------------------------------------------------------------------------
 
     def until(self, condition: Callable[[], bool], timeout_s: float = math.inf, what: str = "") -> None:
-        """Handle messages until `condition()` holds.
+        """Handle messages until `condition()` holds. Where the autopilot's clock stands still, ours counts.
 
         Raises:
             WaitedTooLong: after `timeout_s` of the autopilot's time.
@@ -61,8 +61,12 @@ class Vehicle:
             FlightEnd: whatever `watch` or `on_state` raise.
         """
         started_s = self.link.autopilot_time_s
+        asked_s = time.monotonic()
         while not condition():
             self.watch()
+            standing_s = min(self.link.clock_stands_s, time.monotonic() - asked_s)
+            if standing_s > timeout_s:
+                raise WaitedTooLong(f"{what or 'the autopilot'}: nothing after {timeout_s:.0f} s")
             if not self._waiting:
                 self._waiting.extend(self.link.receive(POLL_S))
                 if not self._waiting:

@@ -57,6 +57,7 @@ class Link:
         self._last_timesync_autopilot_s = -1e9
         self._expected_sequence: int | None = None
         self._boot_time_s = 0.0
+        self._clock_moved_ns = now_ns()
         self.target_system: int | None = None
         self.heartbeat: Message | None = None
         self.counters: Counter[str] = Counter()
@@ -81,6 +82,11 @@ class Link:
     def silence_s(self) -> float:
         """Our time since the autopilot's last message (seconds)."""
         return (self._now_ns() - self.last_message_ns) * 1e-9 if self.last_message_ns else float("inf")
+
+    @property
+    def clock_stands_s(self) -> float:
+        """Our time since the autopilot's clock was last seen to move: ArduPilot tells no time until asked (seconds)."""
+        return (self._now_ns() - self._clock_moved_ns) * 1e-9
 
     @property
     def loss_ratio(self) -> float:
@@ -167,6 +173,7 @@ class Link:
             if boot_s < self._boot_time_s - 5.0:
                 self.counters["reboots"] += 1
             self._boot_time_s = boot_s
+            self._clock_moved_ns = self.last_message_ns
 
     def _answer_timesync(self, message: Message, messages: list[Message]) -> None:
         now_ns = self._now_ns()
