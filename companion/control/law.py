@@ -21,6 +21,7 @@ import numpy as np
 
 from companion.control.bounds import NOT_FINITE, TOO_TILTED
 from companion.control.flatness import force_from_euler
+from companion.control.network import hidden_layer
 from companion.control.packing import INPUT, TERMS, Memory, Terms, memory_dtype
 from companion.control.rotation import euler_from_quaternion, wrap_angle
 from companion.control.structs import (
@@ -132,9 +133,9 @@ class ControlLaw:
     ) -> Memory:
         """Memory from which the next step continues the command (thrust_newton, attitude (4,) wxyz body to world).
 
-        What the law would do otherwise is made up by an added force and yaw, which fade. The vertical part goes
-        into the integral where the law has one: it is weight that m̂ does not know of, and stays. Raises
-        StepRefused as `step` does.
+        What the law would do otherwise is made up by an added force and yaw, which fade. The vertical part is weight
+        that m̂ does not know of, and stays: it goes into the integral, or into the network where the law has no
+        integral. Raises StepRefused as `step` does.
         """
         fresh = memory.values.copy()
         for name in ("hand_over_force", "filter_angle", "filter_rate", "feedback_rate", "wrench"):
@@ -151,16 +152,29 @@ class ControlLaw:
         force_z = thrust_newton * math.cos(terms.euler[0]) * math.cos(terms.euler[1])
         wanted = force_from_euler(given - led, max(force_z, float(p.force_z_min)))
         missing = wanted - feedback_lead - terms.position.total
-        K_i = float(p.position.K_i[2])
-        if K_i > 0.0:
-            others = float(np.hypot(*(p.position.K_i[:2] * fresh["position_integral"][:2])))
-            room = math.sqrt(max(0.0, float(p.position.integral_bound) ** 2 - others**2))
-            held = K_i * fresh["position_integral"][2]
-            moved = min(room, max(-room, held + missing[2])) - held
-            fresh["position_integral"][2] += moved / K_i
-            missing[2] -= moved
+        missing[2] -= self._keep_vertical(fresh, missing[2], state, terms)
         fresh["hand_over_force"] = missing
         return Memory(fresh)
+
+    def _keep_vertical(self, fresh: Record, newton: float, state: VehicleState, terms: Record) -> float:
+        """Put a vertical force into what `fresh` remembers; how much of it found room within the bounds, N."""
+        g = self.parameters.position
+        xi, W = fresh["position_integral"], fresh["position_weights"]
+        if g.K_i[2] > 0.0:
+            room = math.sqrt(max(0.0, float(g.integral_bound) ** 2 - float(np.sum((g.K_i[:2] * xi[:2]) ** 2))))
+            held = float(g.K_i[2] * xi[2])
+            kept = min(room, max(-room, held + newton)) - held
+            xi[2] += kept / float(g.K_i[2])
+            return kept
+        if g.N > 0.0:
+            sigma = hidden_layer(
+                self.parameters.position_V, state.velocity_enu, terms.euler, terms.position.U_rate
+            )
+            change = sigma * newton / float(sigma @ sigma)  # the smallest change of Ŵ that gives this force now
+            if float(np.sum(W**2) - np.sum(W[:, 2] ** 2) + np.sum((W[:, 2] + change) ** 2)) < g.weight_bound**2:
+                W[:, 2] += change
+                return newton
+        return 0.0
 
     def _refusal(self, flags: int, terms: Record) -> str:
         if flags & NOT_FINITE:

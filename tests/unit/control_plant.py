@@ -83,6 +83,22 @@ class Plant:
     time: float = 0.0
     queue: deque = field(default_factory=deque)
 
+    def start_on(self, reference, step=1e-4):
+        """Put the vehicle on a path `reference(t)` at t = 0: thrust along p̈ + g, yaw 0, body rate by differences."""
+
+        def attitude(t):
+            a = reference(t).acceleration_enu + np.array([0, 0, GRAVITY])
+            z = a / np.linalg.norm(a)
+            y = np.cross(z, [1.0, 0, 0])
+            y /= np.linalg.norm(y)
+            return np.column_stack([np.cross(y, z), y, z])
+
+        now = reference(0.0)
+        self.p, self.v, self.R = now.position_enu.copy(), now.velocity_enu.copy(), attitude(0.0)
+        turn = self.R.T @ (attitude(step) - attitude(-step)) / (2 * step)
+        self.w = np.array([turn[2, 1], turn[0, 2], turn[1, 0]])
+        self.thrust = self.mass * np.linalg.norm(now.acceleration_enu + np.array([0, 0, GRAVITY]))
+
     def state(self, noise=None):
         q = quaternion_of(self.R)
         p, v, w = self.p.copy(), self.v.copy(), self.w.copy()
