@@ -61,8 +61,11 @@ POSITION = 14  # 3, NED, m; NaN where not controlled
 VELOCITY = 17  # 3
 ACCELERATION = 20  # 3
 YAW = 23  # rad; NaN keeps the present one
-RATES_OVERRIDE = 24  # 1: attitude and rates given together (mask 0): the rates win
-SETPOINT_SIZE = 25
+OVERRIDE_PERIODS = 24  # control periods for which the rates below win over the attitude loop; counts down
+OVERRIDE_RATES = 25  # 3, rad/s
+OVERRIDE_THRUST = 28  # 0..1
+SETPOINT_SIZE = 29
+ALWAYS = 1e9  # periods: attitude and rates given together (mask 0)
 
 # memory (MEMORY_SIZE,): state of the controllers, and what they last asked for
 RATE_INTEGRAL = 0

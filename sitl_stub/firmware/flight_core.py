@@ -76,7 +76,7 @@ class FlightCore:
         periods = (time_us - self.time_us) // CONTROL_PERIOD_US
         if periods <= 0:
             return
-        loop.fly(*self.fly_arguments(), periods)
+        loop.fly(*(*self.fly_arguments(), periods))
         self.time_us += periods * CONTROL_PERIOD_US
 
     def fly_arguments(self) -> tuple[Any, ...]:
@@ -153,7 +153,7 @@ class FlightCore:
         s[at.QUATERNION : at.QUATERNION + 4] = quaternion
         s[at.THRUST] = thrust
         s[at.YAW_RATE] = yaw_rate_rad_s
-        s[at.RATES_OVERRIDE] = 0.0
+        s[at.OVERRIDE_PERIODS] = 0.0
         s[at.KIND] = at.KIND_ATTITUDE
 
     def follow_rates(self, rates_frd_rad_s: FloatArray, thrust: float) -> None:
@@ -161,7 +161,7 @@ class FlightCore:
         s = self.setpoint
         s[at.RATES : at.RATES + 3] = rates_frd_rad_s
         s[at.THRUST] = thrust
-        s[at.RATES_OVERRIDE] = 0.0
+        s[at.OVERRIDE_PERIODS] = 0.0
         s[at.KIND] = at.KIND_RATES
 
     def follow_actuators(self, controls: FloatArray) -> None:
@@ -184,5 +184,5 @@ class FlightCore:
         s[at.ACCELERATION : at.ACCELERATION + 3] = acceleration
         s[at.YAW] = yaw
         s[at.YAW_RATE] = 0.0 if math.isnan(yaw_rate) else yaw_rate
-        s[at.RATES_OVERRIDE] = 0.0
+        s[at.OVERRIDE_PERIODS] = 0.0
         s[at.KIND] = at.KIND_TRAJECTORY

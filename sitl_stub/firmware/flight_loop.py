@@ -40,7 +40,9 @@ SET_YAW_RATE = at.YAW_RATE
 SET_RATES = at.RATES
 SET_THRUST = at.THRUST
 SET_ACTUATORS = at.ACTUATORS
-RATES_OVERRIDE = at.RATES_OVERRIDE
+OVERRIDE_PERIODS = at.OVERRIDE_PERIODS
+OVERRIDE_RATES = at.OVERRIDE_RATES
+OVERRIDE_THRUST = at.OVERRIDE_THRUST
 THRUST_MODEL_FACTOR = at.THRUST_MODEL_FACTOR
 OUT_QUATERNION = at.OUT_QUATERNION
 OUT_RATES = at.OUT_RATES
@@ -113,9 +115,14 @@ def control(
                 memory[OUT_QUATERNION + i] = setpoint[SET_QUATERNION + i]
             target = memory[OUT_QUATERNION : OUT_QUATERNION + 4]
             attitude_to_rates(q, target, setpoint[SET_YAW_RATE], gains, memory)
-        if kind == KIND_RATES or setpoint[RATES_OVERRIDE] > 0.0:
+        if kind == KIND_RATES:
             for i in range(3):
                 memory[OUT_RATES + i] = setpoint[SET_RATES + i]
+        elif kind == KIND_ATTITUDE and setpoint[OVERRIDE_PERIODS] > 0.0:
+            setpoint[OVERRIDE_PERIODS] -= 1.0
+            memory[OUT_THRUST] = setpoint[OVERRIDE_THRUST]
+            for i in range(3):
+                memory[OUT_RATES + i] = setpoint[OVERRIDE_RATES + i]
     if kind == KIND_ACTUATORS:
         for i in range(3):
             memory[OUT_TORQUE + i] = min(max(setpoint[SET_ACTUATORS + i], -1.0), 1.0)

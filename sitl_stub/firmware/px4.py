@@ -14,18 +14,23 @@ import numpy as np
 
 from sitl_stub.firmware import control_layout as at
 from sitl_stub.firmware.autopilot import LOGIC_PERIOD_US, Autopilot, Command, Result
-from sitl_stub.firmware.flight_core import FlightCore
+from sitl_stub.firmware.flight_core import CONTROL_PERIOD_US, FlightCore
 from sitl_stub.firmware.land_detector import LandDetector
 from sitl_stub.firmware.parameters import ParameterTable
 from sitl_stub.firmware.px4_commander import FORCE_MAGIC, Commander
 from sitl_stub.firmware.px4_events import Event
 from sitl_stub.firmware.px4_modes import Mode, mode_of, mode_of_custom
 from sitl_stub.firmware.px4_navigator import FULL_STICK, Navigator
-from sitl_stub.firmware.px4_offboard import OffboardSetpoint
+from sitl_stub.firmware.px4_offboard import OffboardKind, OffboardSetpoint
 from sitl_stub.firmware.px4_streams import Px4Messages
 from sitl_stub.firmware.streams import Builder
 from sitl_stub.mavlink.codec import Received
 from sitl_stub.mavlink.links import Link
+
+
+CONTROL_MODE_PERIOD_US = 500_000
+ESTIMATE_PERIOD_US = 4000
+"""How often PX4's attitude loop runs on the estimate of its simulator (250 Hz)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +73,9 @@ class Px4(Autopilot):
         self.home_set_us = 0
         self.armed_at_us = 0
         self.event_sequence = 0xFFF9
+        self._latched_kind = OffboardKind.NONE
+        self._latched_us = 0
+        self._latched_state: tuple[bool, Mode] = (False, Mode.LOITER)
         self.land_detector = LandDetector()
         self.offboard = OffboardSetpoint(version.takes_actuator_controls)
         self.say_messages = Px4Messages(self)
@@ -156,17 +164,49 @@ class Px4(Autopilot):
             core.time_us, commander.armed, thrust, core.velocity_ned, core.body_rate_frd, self.parameters
         )
         commander.update()
+        latched = self._latch_offboard_kind()
         core.integrate = commander.armed and not self.land_detector.landed
         if not commander.armed:
             core.idle()
         elif commander.mode is Mode.OFFBOARD:
-            self._apply_offboard()
+            if latched:
+                self._apply_offboard()
         else:
             self.navigator.update(LOGIC_PERIOD_US * 1e-6)
 
+    def _latch_offboard_kind(self) -> bool:
+        """PX4's commander publishes which controllers run when the mode or arming changes, and else twice a second.
+
+        Until then a setpoint of another kind meets the controllers of the old one (seen in the capture).
+        """
+        commander = self.commander
+        state = (commander.armed, commander.mode)
+        if state != self._latched_state or self.time_us - self._latched_us >= CONTROL_MODE_PERIOD_US:
+            self._latched_state = state
+            self._latched_us = self.time_us
+            self._latched_kind = self.offboard.kind
+            return True
+        return False
+
+    @property
+    def attitude_loop_runs_offboard(self) -> bool:
+        """Whether the setpoints in force use the attitude loop (HEARTBEAT's stabilise bit in OFFBOARD)."""
+        return self._latched_kind not in (OffboardKind.NONE, OffboardKind.RATES, OffboardKind.ACTUATORS)
+
     def _apply_offboard(self) -> None:
-        if self.commander.armed and self.commander.mode is Mode.OFFBOARD:
-            self.core.setpoint[:] = self.offboard.packed
+        if not (self.commander.armed and self.commander.mode is Mode.OFFBOARD):
+            return
+        packed, setpoint = self.offboard.packed, self.core.setpoint
+        if (
+            setpoint[at.KIND] == at.KIND_IDLE
+            or self.offboard.kind.controllers == self._latched_kind.controllers
+        ):
+            setpoint[:] = packed
+        elif self._latched_kind is OffboardKind.ATTITUDE and self.offboard.kind is OffboardKind.RATES:
+            # the attitude loop still runs and overwrites each rate setpoint with its own, one estimate later
+            setpoint[at.OVERRIDE_RATES : at.OVERRIDE_RATES + 3] = packed[at.RATES : at.RATES + 3]
+            setpoint[at.OVERRIDE_THRUST] = packed[at.THRUST]
+            setpoint[at.OVERRIDE_PERIODS] = ESTIMATE_PERIOD_US // CONTROL_PERIOD_US
 
     # --- setpoints ---------------------------------------------------------------------------------------------
     def _set_attitude_target(self, link: Link, message: Received) -> None:

@@ -44,6 +44,11 @@ class OffboardKind(Enum):
     ACTUATORS = "actuators"
     """Torques and thrust straight to the mixer (PX4 up to 1.13)."""
 
+    @property
+    def controllers(self) -> str:
+        """Which controllers it needs: the three kinds of trajectory setpoint share theirs."""
+        return "trajectory" if self.value in ("position", "velocity", "acceleration") else self.value
+
 
 class OffboardSetpoint:
     """The last setpoint, packed as the control loops want it, and when it came."""
@@ -99,7 +104,9 @@ class OffboardSetpoint:
         packed[at.THRUST] = min(max(thrust, 0.0), 1.0)
         yaw_rate_only = attitude and mask & IGNORE_RATES == 0b011
         packed[at.YAW_RATE] = packed[at.RATES + 2] if yaw_rate_only else 0.0
-        packed[at.RATES_OVERRIDE] = float(attitude and mask & IGNORE_RATES == 0)
+        packed[at.OVERRIDE_PERIODS] = at.ALWAYS if attitude and mask & IGNORE_RATES == 0 else 0.0
+        packed[at.OVERRIDE_RATES : at.OVERRIDE_RATES + 3] = packed[at.RATES : at.RATES + 3]
+        packed[at.OVERRIDE_THRUST] = packed[at.THRUST]
         packed[at.KIND] = at.KIND_ATTITUDE if attitude else at.KIND_RATES
         return self._accept(OffboardKind.ATTITUDE if attitude else OffboardKind.RATES, time_us)
 
@@ -134,7 +141,7 @@ class OffboardSetpoint:
         packed[at.YAW] = NAN if mask & IGNORE_YAW else v["yaw"]
         yaw_rate = 0.0 if mask & IGNORE_YAW_RATE else float(v["yaw_rate"])
         packed[at.YAW_RATE] = yaw_rate if math.isfinite(yaw_rate) else 0.0
-        packed[at.RATES_OVERRIDE] = 0.0
+        packed[at.OVERRIDE_PERIODS] = 0.0
         packed[at.KIND] = at.KIND_TRAJECTORY
         return self._accept(controlled[0], time_us)
 
@@ -159,6 +166,6 @@ class OffboardSetpoint:
         if not all(math.isfinite(number) for number in controls):
             return False
         self.packed[at.ACTUATORS : at.ACTUATORS + 4] = controls
-        self.packed[at.RATES_OVERRIDE] = 0.0
+        self.packed[at.OVERRIDE_PERIODS] = 0.0
         self.packed[at.KIND] = at.KIND_ACTUATORS
         return self._accept(OffboardKind.ACTUATORS, time_us)

@@ -15,7 +15,6 @@ from sitl_stub.firmware import control_layout as at
 from sitl_stub.firmware.autopilot import SIMULATED_EPOCH_US
 from sitl_stub.firmware.globe import LocalOrigin
 from sitl_stub.firmware.px4_modes import ARMED_FLAG, CUSTOM_MODE_ENABLED, Mode
-from sitl_stub.firmware.px4_offboard import OffboardKind
 from sitl_stub.firmware.streams import Builder
 from sitl_stub.mavlink.links import Link
 from sitl_stub.physics import vehicle as body
@@ -116,10 +115,7 @@ class Px4Messages:
         a = self.autopilot
         c = a.commander
         base = c.mode.value.base_flags | CUSTOM_MODE_ENABLED
-        if c.mode is Mode.OFFBOARD and a.offboard.fresh(a.time_us, a.parameters["COM_OF_LOSS_T"]):
-            if a.offboard.kind not in (OffboardKind.RATES, OffboardKind.ACTUATORS):
-                base |= 16
-        elif c.mode is Mode.OFFBOARD and a.offboard.kind is not OffboardKind.NONE and not c.armed:
+        if c.mode is Mode.OFFBOARD and a.attitude_loop_runs_offboard:
             base |= 16
         if c.armed:
             base |= ARMED_FLAG
