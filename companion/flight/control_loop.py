@@ -167,10 +167,10 @@ class ControlLoop:
         except StepRefused as error:
             raise Aborted(f"the control law has no answer: {error}") from error
         law_s = (time.perf_counter_ns() - law_ns) * 1e-9
-        self._memory = result.memory
+        memory, self._memory = self._memory, result.memory
         self._send(state.time_s, result.setpoint, result.terms.values["rotor_thrust"])
         self._recorder.reference(state.time_s, reference, tracking_time(self._plan, now_s))
-        self._recorder.step(state.time_s, inputs, result)
+        self._recorder.step(state.time_s, memory, inputs, result)
         self._note_bounds(result.terms.flags)
         return law_s
 

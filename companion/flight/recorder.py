@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from companion.autopilot.adapter import Adapter, VehicleStatus
-from companion.control.packing import INPUT, TERMS
+from companion.control.packing import Memory
 from companion.control.structs import ControlLevel, Reference, Setpoint, StepResult, Vector, VehicleState
 from companion.flightlog.channels import (
     ESTIMATES,
@@ -16,11 +16,8 @@ from companion.flightlog.channels import (
     STATE,
     TIMING,
     TRUTH,
-    ChannelSpec,
-    FieldSpec,
-    terms_channel,
-    weights_channel,
 )
+from companion.flightlog.law_channels import input_channel, law_terms_channel, memory_channel
 from companion.flightlog.writer import FlightLog
 from companion.mavlink.frames import (
     enu_from_global,
@@ -52,12 +49,11 @@ class Recorder:
         self._origin_told = False
 
     def define_law(self, neurons: int) -> None:
-        """Open the channels of the law: its inputs, its terms, the weights of its networks with `neurons` each."""
+        """Open the channels of the law: inputs, memory (both networks' weights, `neurons` each) and terms."""
         log = self.log
-        self._terms = log.define(terms_channel(_layout(TERMS)))
-        self._input = log.define(ChannelSpec("/law_input", _fields(INPUT)))
-        self._position_weights = log.define(weights_channel("position", neurons))
-        self._attitude_weights = log.define(weights_channel("attitude", neurons))
+        self._input = log.define(input_channel())
+        self._memory = log.define(memory_channel(neurons))
+        self._terms = log.define(law_terms_channel())
 
     def frame(self, outgoing: bool, autopilot_time_s: float, frame: bytes) -> None:
         """One MAVLink frame; the link's tap."""
@@ -106,14 +102,11 @@ class Recorder:
             setpoint.torque_flu,
         )
 
-    def step(self, time_s: float, inputs: Vector, result: StepResult) -> None:
-        """Everything the law saw (`packing.INPUT`), made (`packing.TERMS`) and remembers of its networks."""
-        terms = np.frombuffer(result.terms.values.tobytes(), dtype=np.float64).copy()
-        terms[-1] = float(result.terms.flags)  # the record's only integer
+    def step(self, time_s: float, memory: Memory, inputs: Vector, result: StepResult) -> None:
+        """All that is needed to repeat a step: what the law remembered, what it saw, and what it made of both."""
         self.log.record(self._input, time_s, inputs)
-        self.log.record(self._terms, time_s, terms)
-        self.log.record(self._position_weights, time_s, np.ravel(result.memory.position_weights))
-        self.log.record(self._attitude_weights, time_s, np.ravel(result.memory.attitude_weights))
+        self.log.record(self._memory, time_s, memory.to_array())
+        self.log.record(self._terms, time_s, result.terms.values)
 
     def timing(self, time_s: float, period_s: float, compute_s: float, law_s: float) -> None:
         """Wall-clock durations of one control step."""
@@ -194,22 +187,6 @@ class Recorder:
                 text="no GPS_GLOBAL_ORIGIN: the true position is laid over the estimate as they stood on the ground",
             )
         return self._ground_place
-
-
-def _layout(record: np.dtype[np.void], prefix: str = "") -> list[tuple[str, int, str]]:
-    """(name, width, unit) of a packed record's fields in order; inner records are `outer_inner`."""
-    layout: list[tuple[str, int, str]] = []
-    for name in record.names or ():
-        inner = record.fields[name][0]  # type: ignore[index]
-        if inner.names:
-            layout += _layout(inner, f"{prefix}{name}_")
-        else:
-            layout.append((prefix + name, int(np.prod(inner.shape, dtype=int)), ""))
-    return layout
-
-
-def _fields(record: np.dtype[np.void]) -> tuple[FieldSpec, ...]:
-    return tuple(FieldSpec(name, width, unit) for name, width, unit in _layout(record))
 
 
 def _finer(integer: int, single: float) -> float:

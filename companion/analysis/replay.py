@@ -1,0 +1,134 @@
+"""Repeat a flight's control steps from its log and compare the bits.
+
+A step is a pure function of its inputs, its memory and the parameters. The log holds the first two for
+every step and the settings the third is made of, so the same code gives the same terms and the same next
+memory, bit for bit. Where it does not, the code, numba or the processor's arithmetic has changed since.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.config.errors import UserError
+from companion.config.settings import Settings, settings_from_tables
+from companion.control.law import ControlLaw, StepRefused
+from companion.control.packing import INPUT, TERMS, Memory, memory_dtype
+from companion.control.registry import build_law
+from companion.flightlog.channels import packed_channel
+from companion.flightlog.law_channels import INPUT_TOPIC, MEMORY_TOPIC, TERMS_TOPIC
+from companion.flightlog.reader import FlightRecord, NumericChannel
+
+AUTOPILOTS = {"px4": "px4", "ardu": "ardupilot"}
+"""How the firmware's name begins → the profile's key of its response."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mismatch:
+    """A step that came out otherwise."""
+
+    step: int
+    time_s: float
+    fields: tuple[str, ...]  # of the terms, `memory.…` of the memory after the step
+    largest: float  # greatest difference among them
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """What repeating a flight's steps gave."""
+
+    steps: int
+    identical: int
+    mismatches: tuple[Mismatch, ...]  # the first of them
+    hand_overs: (
+        int  # steps whose memory is not what the step before left: the law was handed the vehicle anew
+    )
+
+    @property
+    def exact(self) -> bool:
+        """Whether every step gave the logged bits."""
+        return self.steps > 0 and self.identical == self.steps
+
+
+def law_of(record: FlightRecord) -> ControlLaw:
+    """Build the control law a flight was flown with. Raises UserError where the log does not hold its settings."""
+    text = record.attachments.get("settings.json")
+    if text is None:
+        raise UserError(f"{record.path}: no settings.json in this log, so its steps cannot be repeated")
+    try:
+        settings: Settings = settings_from_tables(json.loads(text))
+    except (ValueError, KeyError, TypeError) as error:
+        raise UserError(f"{record.path}: the settings in this log cannot be read: {error}") from error
+    firmware = record.flight.get("firmware", "").lower()
+    autopilot = next((key for start, key in AUTOPILOTS.items() if firmware.startswith(start)), None)
+    flight = settings.flight
+    return build_law(
+        flight.controller, settings.gains, settings.profile, settings.level, flight.seed, autopilot=autopilot
+    )
+
+
+def replay(record: FlightRecord, law: ControlLaw | None = None, most_mismatches: int = 10) -> Replay:
+    """Repeat every logged step with `law` (default: the one the flight was flown with).
+
+    Raises UserError where the log holds no steps or was written with another layout of the law's records.
+    """
+    law = law_of(record) if law is None else law
+    memory_type = memory_dtype(law.hidden)
+    inputs = _table(record, INPUT_TOPIC, INPUT)
+    memories = _table(record, MEMORY_TOPIC, memory_type)
+    terms = _table(record, TERMS_TOPIC, TERMS)
+    count = min(len(inputs), len(memories), len(terms))  # a cut can fall between the three
+    if not (
+        np.array_equal(inputs.time_s[:count], memories.time_s[:count])
+        and np.array_equal(inputs.time_s[:count], terms.time_s[:count])
+    ):
+        raise UserError(f"{record.path}: records of the law are missing, so its steps cannot be repeated")
+    identical = hand_overs = 0
+    mismatches: list[Mismatch] = []
+    expected: bytes | None = None
+    for step in range(count):
+        before = memories.values[step]
+        if expected is not None and before.tobytes() != expected:
+            hand_overs += 1
+        memory = Memory(before.copy().view(memory_type)[0])
+        try:
+            result = law.step_packed(memory, inputs.values[step].copy())
+        except StepRefused:
+            expected = None
+            mismatches.append(Mismatch(step, float(inputs.time_s[step]), ("refused",), float("nan")))
+            continue
+        expected = result.memory.values.tobytes()
+        if result.terms.values.tobytes() == terms.values[step].tobytes():
+            identical += 1
+        else:
+            mismatches.append(
+                _mismatch(step, float(terms.time_s[step]), result.terms.values, terms.values[step])
+            )
+    return Replay(count, identical, tuple(mismatches[:most_mismatches]), hand_overs)
+
+
+def _table(record: FlightRecord, topic: str, dtype: np.dtype[np.void]) -> NumericChannel:
+    channel = record.channel(topic)
+    if channel is None:
+        raise UserError(f"{record.path}: no {topic} in this log, so its steps cannot be repeated")
+    wanted = [(item.name, item.width, item.kind) for item in packed_channel(topic, dtype).fields]
+    if wanted != [(item.name, item.width, item.kind) for item in channel.fields]:
+        raise UserError(
+            f"{record.path}: {topic} has another layout than this version's; use the version that flew"
+        )
+    return channel
+
+
+def _mismatch(step: int, time_s: float, found: np.void, logged: np.ndarray) -> Mismatch:
+    spec = packed_channel(TERMS_TOPIC, TERMS)
+    now = np.frombuffer(found.tobytes())
+    names, largest = [], 0.0
+    for item in spec.fields:
+        part = spec.slice_of(item.name)
+        if now[part].tobytes() != logged[part].tobytes():
+            names.append(item.name)
+            if item.kind == "float64":
+                largest = max(largest, float(np.nanmax(np.abs(now[part] - logged[part]), initial=0.0)))
+    return Mismatch(step, time_s, tuple(names), largest)
