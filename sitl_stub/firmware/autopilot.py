@@ -59,6 +59,8 @@ class Autopilot:
 
     integers_as_bits = True
     """PX4 sends integer parameters as bit patterns inside the float; ArduPilot converts them."""
+    hash_leads_list = False
+    """PX4 sends `_HASH_CHECK` before the list, so that a ground station with the same list can stop it."""
     unknown_interval_result = Result.FAILED
     unknown_request_result = Result.DENIED
 
@@ -286,16 +288,20 @@ class Autopilot:
 
     def _param_request_list(self, link: Link, message: Received) -> None:
         streams: LinkStreams = link.firmware_data
+        if self.hash_leads_list:
+            self._send_parameter_hash(link)
         streams.parameters_waiting = list(range(len(self.parameters) - 1, -1, -1))
+
+    def _send_parameter_hash(self, link: Link) -> None:
+        name = b"_HASH_CHECK"
+        payload = struct.pack("<IHH16sB", self.parameters.hash(), len(self.parameters), 0xFFFF, name, UINT32)
+        link.send_payload(LAYOUTS["PARAM_VALUE"], payload)
 
     def _param_request_read(self, link: Link, message: Received) -> None:
         index = message.values["param_index"]
         name = message.values["param_id"] if index < 0 else self.parameters.name_at(index)
         if name == "_HASH_CHECK":
-            payload = struct.pack(
-                "<IHH16sB", self.parameters.hash(), len(self.parameters), 0xFFFF, b"_HASH_CHECK", UINT32
-            )
-            link.send_payload(LAYOUTS["PARAM_VALUE"], payload)
+            self._send_parameter_hash(link)
         elif name is not None and name in self.parameters:
             self.send_parameter(link, name)
 

@@ -27,7 +27,6 @@ from sitl_stub.firmware.streams import Builder
 from sitl_stub.mavlink.codec import Received
 from sitl_stub.mavlink.links import Link
 
-
 CONTROL_MODE_PERIOD_US = 500_000
 ESTIMATE_PERIOD_US = 4000
 """How often PX4's attitude loop runs on the estimate of its simulator (250 Hz)."""
@@ -54,6 +53,7 @@ VERSION_1_13 = Px4Version("px4-1.13", 0x010D03FF, True, True, False)
 class Px4(Autopilot):
     """One PX4."""
 
+    hash_leads_list = True
     has_distance_sensor = False
     """Whether landing slows to MPC_LAND_CRWL near the ground; the capture's did not."""
 

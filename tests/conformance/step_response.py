@@ -1,6 +1,6 @@
 """Step responses read off a MAVLink exchange, by one rule for a capture of the real autopilot and for the stub.
 
-The step begins at the autopilot's time of the last ATTITUDE the client had when it sent the first changed SET_ATTITUDE_TARGET.
+The step begins at the autopilot's time of the last ATTITUDE the client had when it sent the step's first setpoint.
 Angles come from ATTITUDE; body rates from the slope of its angles over a window of 60 ms, because the gyro of the capture
 carries noise as large as a quarter of the step.
 """
@@ -26,6 +26,7 @@ STEPS = {
     "yaw rate 0.6": (2, "rate", 0.6),
 }
 WATCHED_S = {"roll": 0.8, "pitch": 0.8, "yaw": 3.9}
+RATE_WATCHED_S = 0.5  # the scenario reverses the rate after 0.4 s; the peak comes a little later
 RATE_WINDOW_S = 0.06
 
 
@@ -85,7 +86,7 @@ def measure(exchange: Exchange, name: str) -> Response:
         scale = target - before
     else:
         scale = size
-    watched = 0.8 if what == "rate" else WATCHED_S[name.split()[0]]
+    watched = RATE_WATCHED_S if what == "rate" else WATCHED_S[name.split()[0]]
     chosen = (times >= start) & (times <= start + watched)
     t, share = times[chosen] - start, (values[chosen] - before) / scale
     return Response(_reaches(t, share, 0.1), _reaches(t, share, 0.63), float(share.max()))
