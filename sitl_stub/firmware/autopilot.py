@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
-from sitl_stub.firmware.flight_core import CONTROL_PERIOD_US, FlightCore
 from sitl_stub.firmware.parameters import INT32, ParameterError, ParameterTable
 from sitl_stub.firmware.streams import Builder, LinkStreams, StreamTable
+from sitl_stub.firmware.vehicle_core import VehicleCore
 from sitl_stub.mavlink.codec import LAYOUTS, Received
 from sitl_stub.mavlink.links import Link
 
@@ -64,7 +64,7 @@ class Autopilot:
     unknown_interval_result = Result.FAILED
     unknown_request_result = Result.DENIED
 
-    def __init__(self, core: FlightCore, parameters: ParameterTable, system_id: int = 1) -> None:
+    def __init__(self, core: VehicleCore, parameters: ParameterTable, system_id: int = 1) -> None:
         self.core = core
         self.parameters = parameters
         self.system_id = system_id
@@ -94,7 +94,7 @@ class Autopilot:
             "PING": self._ping,
             "MISSION_REQUEST_LIST": self._mission_request_list,
         }
-        self.streams = StreamTable(self.stream_definitions(), CONTROL_PERIOD_US)
+        self.streams = StreamTable(self.stream_definitions(), core.control_period_us)
 
     # --- for subclasses ----------------------------------------------------------------------------------------
     def stream_definitions(self) -> Sequence[tuple[str, Builder, Mapping[str, float]]]:

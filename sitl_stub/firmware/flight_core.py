@@ -16,11 +16,8 @@ from numpy.typing import NDArray
 from sitl_stub.firmware import control_layout as at
 from sitl_stub.firmware import flight_loop as loop
 from sitl_stub.firmware.mixing import full_torque_newton_metre, mixer_matrix, transposed
-from sitl_stub.physics import estimator as belief
-from sitl_stub.physics import vehicle as body
-from sitl_stub.physics.estimator import Estimator
+from sitl_stub.firmware.vehicle_core import VehicleCore
 from sitl_stub.physics.vehicle import VehicleParameters
-from sitl_stub.physics.wind import Wind
 
 FloatArray = NDArray[np.float64]
 
@@ -29,7 +26,7 @@ PHYSICS_STEPS = 2
 POSITION_LOOP_US = 10_000
 
 
-class FlightCore:
+class FlightCore(VehicleCore):
     """Vehicle, estimator and compiled controllers. All arrays are public and may be changed between calls."""
 
     def __init__(
@@ -42,13 +39,7 @@ class FlightCore:
         gust_speed_m_s: float = 0.0,
         count_all_rotors: bool = False,
     ) -> None:
-        self.vehicle = vehicle
-        self.parameters_packed = vehicle.packed()
-        self.state = body.initial_state(vehicle)
-        self.environment = body.calm_environment(vehicle)
-        self.estimator = Estimator(estimator, seed, CONTROL_PERIOD_US * 1e-6)
-        self.estimate = self.estimator.arrays.estimate
-        self.wind = Wind(wind_ned_m_s, gust_speed_m_s, seed)
+        super().__init__(vehicle, CONTROL_PERIOD_US, estimator, seed, wind_ned_m_s, gust_speed_m_s)
         self.setpoint = np.zeros(at.SETPOINT_SIZE)
         self.setpoint[at.QUATERNION] = 1.0
         self.memory = np.zeros(at.MEMORY_SIZE)
@@ -64,8 +55,6 @@ class FlightCore:
         self.gains = at.gains_from_parameters(parameters, self.torque_scale)
         self.scratch = np.zeros(8)
         self.integrate = False
-        self.time_us = 0
-        belief.advance_estimate(*self.estimator.arguments, self.state)
 
     def use_parameters(self, parameters: Mapping[str, float]) -> None:
         """Take changed controller parameters into the running loops."""
@@ -99,43 +88,6 @@ class FlightCore:
             POSITION_LOOP_US // CONTROL_PERIOD_US,
             self.integrate,
         )
-
-    # --- what the autopilot believes ---------------------------------------------------------------------------
-    @property
-    def position_ned(self) -> FloatArray:
-        """Estimated position (3,), m."""
-        return self.estimate[belief.EST_POSITION : belief.EST_POSITION + 3]
-
-    @property
-    def velocity_ned(self) -> FloatArray:
-        """Estimated velocity (3,), m/s."""
-        return self.estimate[belief.EST_VELOCITY : belief.EST_VELOCITY + 3]
-
-    @property
-    def quaternion(self) -> FloatArray:
-        """Estimated attitude (4,), body FRD to NED."""
-        return self.estimate[belief.EST_QUATERNION : belief.EST_QUATERNION + 4]
-
-    @property
-    def body_rate_frd(self) -> FloatArray:
-        """Measured body rate (3,), rad/s."""
-        return self.estimate[belief.EST_BODY_RATE : belief.EST_BODY_RATE + 3]
-
-    @property
-    def specific_force_frd(self) -> FloatArray:
-        """Measured specific force (3,), m/s²."""
-        return self.estimate[belief.EST_SPECIFIC_FORCE : belief.EST_SPECIFIC_FORCE + 3]
-
-    @property
-    def yaw(self) -> float:
-        """Estimated heading, rad, clockwise from north."""
-        w, x, y, z = (float(value) for value in self.quaternion)
-        return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-
-    @property
-    def position_valid(self) -> bool:
-        """Whether the filter vouches for position and velocity."""
-        return bool(self.estimate[belief.EST_POSITION_VALID] > 0.0)
 
     @property
     def motors(self) -> FloatArray:

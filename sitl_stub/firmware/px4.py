@@ -53,6 +53,7 @@ VERSION_1_13 = Px4Version("px4-1.13", 0x010D03FF, True, True, False)
 class Px4(Autopilot):
     """One PX4."""
 
+    core: FlightCore
     hash_leads_list = True
     has_distance_sensor = False
     """Whether landing slows to MPC_LAND_CRWL near the ground; the capture's did not."""

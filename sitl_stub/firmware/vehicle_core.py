@@ -1,0 +1,90 @@
+"""What every firmware's core shares: a vehicle with its physics, estimator, gusts and simulated time.
+
+No controllers here: a firmware's core adds them and advances everything in one compiled loop. Time is whole
+microseconds since boot; control runs every `control_period_us`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sitl_stub.physics import estimator as belief
+from sitl_stub.physics import vehicle as body
+from sitl_stub.physics.estimator import Estimator
+from sitl_stub.physics.vehicle import VehicleParameters
+from sitl_stub.physics.wind import Wind
+
+FloatArray = NDArray[np.float64]
+
+
+class VehicleCore:
+    """Vehicle and estimator; subclasses bring controllers. All arrays are public and may be changed between calls."""
+
+    def __init__(
+        self,
+        vehicle: VehicleParameters,
+        control_period_us: int,
+        estimator: str = "mocap",
+        seed: int = 0,
+        wind_ned_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        gust_speed_m_s: float = 0.0,
+    ) -> None:
+        self.vehicle = vehicle
+        self.control_period_us = control_period_us
+        self.parameters_packed = vehicle.packed()
+        self.state = body.initial_state(vehicle)
+        self.environment = body.calm_environment(vehicle)
+        self.estimator = Estimator(estimator, seed, control_period_us * 1e-6)
+        self.estimate = self.estimator.arrays.estimate
+        self.wind = Wind(wind_ned_m_s, gust_speed_m_s, seed)
+        self.time_us = 0
+        belief.advance_estimate(*self.estimator.arguments, self.state)
+
+    def use_parameters(self, parameters: Mapping[str, float]) -> None:
+        """Take changed controller parameters into the running loops."""
+        raise NotImplementedError
+
+    def advance_to(self, time_us: int) -> None:
+        """Run the loops up to `time_us` (rounded down to whole control periods; never back)."""
+        raise NotImplementedError
+
+    # --- what the autopilot believes ---------------------------------------------------------------------------
+    @property
+    def position_ned(self) -> FloatArray:
+        """Estimated position (3,), m."""
+        return self.estimate[belief.EST_POSITION : belief.EST_POSITION + 3]
+
+    @property
+    def velocity_ned(self) -> FloatArray:
+        """Estimated velocity (3,), m/s."""
+        return self.estimate[belief.EST_VELOCITY : belief.EST_VELOCITY + 3]
+
+    @property
+    def quaternion(self) -> FloatArray:
+        """Estimated attitude (4,), body FRD to NED."""
+        return self.estimate[belief.EST_QUATERNION : belief.EST_QUATERNION + 4]
+
+    @property
+    def body_rate_frd(self) -> FloatArray:
+        """Measured body rate (3,), rad/s."""
+        return self.estimate[belief.EST_BODY_RATE : belief.EST_BODY_RATE + 3]
+
+    @property
+    def specific_force_frd(self) -> FloatArray:
+        """Measured specific force (3,), m/s²."""
+        return self.estimate[belief.EST_SPECIFIC_FORCE : belief.EST_SPECIFIC_FORCE + 3]
+
+    @property
+    def yaw(self) -> float:
+        """Estimated heading, rad, clockwise from north."""
+        w, x, y, z = (float(value) for value in self.quaternion)
+        return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+    @property
+    def position_valid(self) -> bool:
+        """Whether the filter vouches for position and velocity."""
+        return bool(self.estimate[belief.EST_POSITION_VALID] > 0.0)
