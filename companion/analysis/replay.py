@@ -92,7 +92,7 @@ def replay(record: FlightRecord, law: ControlLaw | None = None, most_mismatches:
         before = memories.values[step]
         if expected is not None and before.tobytes() != expected:
             hand_overs += 1
-        memory = Memory(before.copy().view(memory_type)[0])
+        memory = Memory(before.copy().view(memory_type))
         try:
             result = law.step_packed(memory, inputs.values[step].copy())
         except StepRefused:

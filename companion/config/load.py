@@ -61,7 +61,15 @@ def validated(model: type[Model], values: Mapping[str, Any], origin: str) -> Mod
     try:
         return model.model_validate(dict(values))
     except ValidationError as failure:
-        lines = [_explain(model, error) for error in failure.errors(include_url=False)]
+        errors = failure.errors(include_url=False)
+        places = [error["loc"] for error in errors]
+        # a list with a wrong entry is also reported as too short, counting the good ones: one mistake, one line
+        lines = [
+            _explain(model, error)
+            for error in errors
+            if error["type"] != "too_short"
+            or not any(place[: len(error["loc"])] == error["loc"] != place for place in places)
+        ]
         count = f"{len(lines)} errors" if len(lines) > 1 else "1 error"
         raise UserError("\n".join([f"{origin}: {count}", *(f"  {line}" for line in lines)])) from None
 

@@ -13,8 +13,8 @@ class SettingsModel(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True)
 
 
-Positive = Annotated[float, Field(gt=0.0)]
-NotNegative = Annotated[float, Field(ge=0.0)]
-Number3 = tuple[float, float, float]
+Number = Annotated[float, Field(strict=True)]
+Positive = Annotated[float, Field(gt=0.0, strict=True)]
+NotNegative = Annotated[float, Field(ge=0.0, strict=True)]
 Positive3 = tuple[Positive, Positive, Positive]
 NotNegative3 = tuple[NotNegative, NotNegative, NotNegative]

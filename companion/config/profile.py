@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from companion.config.gains import ControllerGains
-from companion.config.model import NotNegative, NotNegative3, Positive, Positive3, SettingsModel
+from companion.config.model import NotNegative, NotNegative3, Number, Positive, Positive3, SettingsModel
 from companion.control.structs import ControlLevel, Vector
 
 Autopilot = Literal["px4", "ardupilot"]
@@ -19,9 +19,9 @@ LevelName = Literal["attitude", "body_rate", "actuator"]
 class Rotor(SettingsModel):
     """One rotor, seen from the centre of mass, body FLU."""
 
-    x_m: float
+    x_m: Number
     """Forward, m."""
-    y_m: float
+    y_m: Number
     """To the left, m."""
     spin: Literal["ccw", "cw"]
     """Direction of turning seen from above; the reaction torque on the vehicle is the other way round."""

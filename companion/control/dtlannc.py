@@ -12,7 +12,7 @@ from __future__ import annotations
 from companion.control.cascade import attitude_errors, begin, finish, position_errors
 from companion.control.compiled import compiled
 from companion.control.network import output_layer, smooth_sign
-from companion.control.structs import Record, Vector
+from companion.control.structs import Packed, Record, Vector
 
 
 @compiled
@@ -33,8 +33,9 @@ def feedback(g: Record, W: Vector, sigma: Vector, loop: Record) -> None:
 
 
 @compiled
-def step(p: Record, m: Record, x: Record, m_next: Record, t: Record) -> None:
-    """One control step; the records are those of `packing.py`."""
+def step(parameters: Packed, memory: Packed, inputs: Packed, memory_out: Packed, terms_out: Packed) -> None:
+    """One control step; the records are those of `packing.py`, each in an array of length 1."""
+    p, m, x, m_next, t = parameters[0], memory[0], inputs[0], memory_out[0], terms_out[0]
     if not begin(p, m, x, m_next, t):
         return
     sigma_p = position_errors(p, m, x, t)

@@ -27,6 +27,7 @@ from companion.control.rotation import euler_from_quaternion, wrap_angle
 from companion.control.structs import (
     AdaptationGate,
     ControlLevel,
+    Packed,
     Record,
     Reference,
     Setpoint,
@@ -35,7 +36,7 @@ from companion.control.structs import (
     VehicleState,
 )
 
-StepKernel = Callable[[Record, Record, Record, Record, Record], None]
+StepKernel = Callable[[Packed, Packed, Packed, Packed, Packed], None]
 """`step(parameters, memory, inputs, memory_out, terms_out)`, compiled; see `packing.py` for the records."""
 
 _INPUT_SIZE = INPUT.itemsize // 8
@@ -78,13 +79,18 @@ class ControlLaw:
     level: ControlLevel
     seed: int  # draws both input matrices V
     hidden: int  # L, neurons per network
-    parameters: Record  # of parameters_dtype(L)
+    packed_parameters: Packed  # (1,) of parameters_dtype(L)
     kernel: StepKernel
     warnings: tuple[str, ...]  # broken conditions of Propositions 1 and 2, both sides in numbers
 
+    @property
+    def parameters(self) -> Record:
+        """The fields of `parameters_dtype` by name."""
+        return self.packed_parameters[0]
+
     def initial_memory(self) -> Memory:
         """Zero integrals and weights; filters start at the first step's values."""
-        return Memory(np.zeros(1, memory_dtype(self.hidden))[0])
+        return Memory(np.zeros(1, memory_dtype(self.hidden)))
 
     def warm_up(self) -> None:
         """Compile (or load from the cache) all that a step needs: seconds the first time. Call before arming."""
@@ -107,19 +113,18 @@ class ControlLaw:
 
     def step_packed(self, memory: Memory, inputs: Vector) -> StepResult:
         """`step` on inputs as `pack_input` made them and the log holds them: replay gives the same bits."""
-        record = inputs.view(INPUT)[0]
-        following = np.empty(1, memory_dtype(self.hidden))[0]
-        terms = np.zeros(1, TERMS)[0]
-        self.kernel(self.parameters, memory.values, record, following, terms)
-        flags = int(terms["bounds"])
+        following = np.empty(1, memory_dtype(self.hidden))
+        terms = np.zeros(1, TERMS)
+        self.kernel(self.packed_parameters, memory.packed, inputs.view(INPUT), following, terms)
+        flags = int(terms["bounds"][0])
         if flags & (NOT_FINITE | TOO_TILTED):
-            raise StepRefused(self._refusal(flags, terms))
+            raise StepRefused(self._refusal(flags, terms[0]))
         setpoint = Setpoint(
             self.level,
-            float(terms["thrust"]),
-            terms["quaternion"],
-            terms["body_rate"],
-            terms["torque"],
+            float(terms["thrust"][0]),
+            terms["quaternion"][0],
+            terms["body_rate"][0],
+            terms["torque"][0],
         )
         return StepResult(Memory(following), setpoint, Terms(terms))
 
@@ -137,11 +142,12 @@ class ControlLaw:
         that m̂ does not know of, and stays: it goes into the integral, or into the network where the law has no
         integral. Raises StepRefused as `step` does.
         """
-        fresh = memory.values.copy()
+        packed = memory.packed.copy()
+        fresh = packed[0]
         for name in ("hand_over_force", "filter_angle", "filter_rate", "feedback_rate", "wrench"):
             fresh[name] = 0.0
         fresh["hand_over_yaw"] = fresh["started"] = 0.0
-        terms = self.step(Memory(fresh), state, reference, 0.0, AdaptationGate.FREEZE).terms.values
+        terms = self.step(Memory(packed), state, reference, 0.0, AdaptationGate.FREEZE).terms.values
         given = euler_from_quaternion(np.asarray(quaternion, dtype=np.float64))
         p = self.parameters
         led = np.zeros(3)
@@ -154,14 +160,16 @@ class ControlLaw:
         missing = wanted - feedback_lead - terms.position.total
         missing[2] -= self._keep_vertical(fresh, missing[2], state, terms)
         fresh["hand_over_force"] = missing
-        return Memory(fresh)
+        return Memory(packed)
 
     def _keep_vertical(self, fresh: Record, newton: float, state: VehicleState, terms: Record) -> float:
         """Put a vertical force into what `fresh` remembers; how much of it found room within the bounds, N."""
         g = self.parameters.position
         xi, W = fresh["position_integral"], fresh["position_weights"]
         if g.K_i[2] > 0.0:
-            room = math.sqrt(max(0.0, float(g.integral_bound) ** 2 - float(np.sum((g.K_i[:2] * xi[:2]) ** 2))))
+            room = math.sqrt(
+                max(0.0, float(g.integral_bound) ** 2 - float(np.sum((g.K_i[:2] * xi[:2]) ** 2)))
+            )
             held = float(g.K_i[2] * xi[2])
             kept = min(room, max(-room, held + newton)) - held
             xi[2] += kept / float(g.K_i[2])
@@ -170,8 +178,13 @@ class ControlLaw:
             sigma = hidden_layer(
                 self.parameters.position_V, state.velocity_enu, terms.euler, terms.position.U_rate
             )
-            change = sigma * newton / float(sigma @ sigma)  # the smallest change of Ŵ that gives this force now
-            if float(np.sum(W**2) - np.sum(W[:, 2] ** 2) + np.sum((W[:, 2] + change) ** 2)) < g.weight_bound**2:
+            change = (
+                sigma * newton / float(sigma @ sigma)
+            )  # the smallest change of Ŵ that gives this force now
+            if (
+                float(np.sum(W**2) - np.sum(W[:, 2] ** 2) + np.sum((W[:, 2] + change) ** 2))
+                < g.weight_bound**2
+            ):
                 W[:, 2] += change
                 return newton
         return 0.0

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.control.structs import Record, Vector
+from companion.control.structs import Packed, Record, Vector
 
 FEATURES = 10
 """Length of both networks' inputs γ: 1 + three 3-vectors. Eqs. (11), (26)."""
@@ -202,54 +202,64 @@ def memory_dtype(hidden: int) -> np.dtype[np.void]:
 class Memory:
     """All that a law remembers between steps. A step reads one and returns a new one; nobody writes in it."""
 
-    values: Record  # of memory_dtype(L)
+    packed: Packed  # (1,) of memory_dtype(L)
+
+    @property
+    def values(self) -> Record:
+        """The fields of `memory_dtype` by name."""
+        return self.packed[0]
 
     @property
     def position_integral(self) -> Vector:
         """ξ_p, (3,), m."""
-        return self.values["position_integral"]  # type: ignore[no-any-return]
+        return self.packed["position_integral"][0]  # type: ignore[no-any-return]
 
     @property
     def attitude_integral(self) -> Vector:
         """ξ_η, (3,), rad."""
-        return self.values["attitude_integral"]  # type: ignore[no-any-return]
+        return self.packed["attitude_integral"][0]  # type: ignore[no-any-return]
 
     @property
     def position_weights(self) -> Vector:
         """Ŵ_p, (L, 3), N."""
-        return self.values["position_weights"]  # type: ignore[no-any-return]
+        return self.packed["position_weights"][0]  # type: ignore[no-any-return]
 
     @property
     def attitude_weights(self) -> Vector:
         """Ŵ_η, (L, 3), N·m."""
-        return self.values["attitude_weights"]  # type: ignore[no-any-return]
+        return self.packed["attitude_weights"][0]  # type: ignore[no-any-return]
 
     def to_array(self) -> Vector:
         """Everything as one float64 vector, for the log."""
-        return np.frombuffer(self.values.tobytes(), dtype=np.float64)
+        return np.frombuffer(self.packed.tobytes(), dtype=np.float64)
 
     @classmethod
     def from_array(cls, array: Vector, hidden: int) -> Memory:
         """The inverse of `to_array`, bit by bit. Raises ValueError where the length does not fit `hidden`."""
-        return cls(np.array(array, dtype=np.float64).view(memory_dtype(hidden))[0])
+        return cls(np.array(array, dtype=np.float64).view(memory_dtype(hidden)))
 
 
 @dataclass(frozen=True, slots=True)
 class Terms:
     """Every term of the law in one step. Fields by name as in `TERMS`, e.g. `terms.values.position.error`."""
 
-    values: Record  # of TERMS
+    packed: Packed  # (1,) of TERMS
+
+    @property
+    def values(self) -> Record:
+        """The fields of `TERMS` by name."""
+        return self.packed[0]
 
     @property
     def flags(self) -> int:
         """Active bounds, bits of `companion.control.bounds.Bound`."""
-        return int(self.values["bounds"])
+        return int(self.packed["bounds"][0])
 
     def flat(self) -> dict[str, Vector | float]:
         """All fields by dotted name (`position.error`, `thrust`), for the log."""
         out: dict[str, Vector | float] = {}
         for name in TERMS.names or ():
-            value = self.values[name]
+            value = self.packed[name][0]
             if isinstance(value, np.void):
                 for inner in LOOP_TERMS.names or ():
                     out[f"{name}.{inner}"] = value[inner]

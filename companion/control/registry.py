@@ -65,7 +65,8 @@ def build_law(
         raise UserError(f"there is no controller {name!r}{hint}; there are {', '.join(LAWS)}")
     entry = LAWS[name]
     hidden = gains.hidden_neurons
-    p = np.zeros(1, parameters_dtype(hidden))[0]
+    packed = np.zeros(1, parameters_dtype(hidden))
+    p = packed[0]
     _fill_loop(p.position, gains.position_loop, entry)
     _fill_loop(p.attitude, gains.attitude_loop, entry)
     # two networks, two independent streams of one seed
@@ -78,7 +79,7 @@ def build_law(
     warnings: tuple[str, ...] = ()
     if entry.has_network:
         warnings = broken_conditions(gains, attitude_loop_flies=level is ControlLevel.ACTUATOR)
-    return ControlLaw(name, level, seed, hidden, p, entry.kernel, warnings)
+    return ControlLaw(name, level, seed, hidden, packed, entry.kernel, warnings)
 
 
 def _fill_loop(g: Record, gains: LoopGains, entry: LawEntry) -> None:

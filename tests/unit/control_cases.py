@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 from control_plant import quaternion_of, rotation_zyx
 
 from companion.config.settings import load_profile, select_gains

@@ -144,7 +144,11 @@ class Plant:
             k1 = slope(self.v, self.R, self.w)
             R2 = self.R @ exp_so3(self.w * h / 2)
             k2 = slope(self.v + h / 2 * k1[1], R2, self.w + h / 2 * k1[2])
-            k3 = slope(self.v + h / 2 * k2[1], self.R @ exp_so3((self.w + h / 4 * k1[2]) * h / 2), self.w + h / 2 * k2[2])
+            k3 = slope(
+                self.v + h / 2 * k2[1],
+                self.R @ exp_so3((self.w + h / 4 * k1[2]) * h / 2),
+                self.w + h / 2 * k2[2],
+            )
             mean = self.w + h / 2 * k2[2]
             k4 = slope(self.v + h * k3[1], self.R @ exp_so3(mean * h), self.w + h * k3[2])
             self.p = self.p + h / 6 * (k1[0] + 2 * k2[0] + 2 * k3[0] + k4[0])

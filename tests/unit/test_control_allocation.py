@@ -53,7 +53,11 @@ def test_signs_of_every_rotor(torque, changes):
 
 
 @given(
-    st.floats(12, 24), st.floats(-0.4, 0.4), st.floats(-0.4, 0.4), st.floats(-0.03, 0.03), st.floats(-0.5, 0.5)
+    st.floats(12, 24),
+    st.floats(-0.4, 0.4),
+    st.floats(-0.4, 0.4),
+    st.floats(-0.03, 0.03),
+    st.floats(-0.5, 0.5),
 )
 def test_inverse_gives_back_what_was_asked(thrust, roll, pitch, yaw, turn):
     """Any layout: six rotors, unevenly placed."""

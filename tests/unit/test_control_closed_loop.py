@@ -81,7 +81,9 @@ def test_a_steady_wind_is_learnt():
 def test_lead_and_prediction_pay():
     """Against the same gains without, mass known: what is left is the lag, or the dead time, that was not made up for."""
     gains = gains_of("tlmbc", ControlLevel.ATTITUDE)
-    none = gains.model_copy(update={"lead": gains.lead.model_copy(update={"attitude_scale": 0.0, "feedback_s": 0.0})})
+    none = gains.model_copy(
+        update={"lead": gains.lead.model_copy(update={"attitude_scale": 0.0, "feedback_s": 0.0})}
+    )
     level = ControlLevel.ATTITUDE
 
     def flown(chosen, predictor):
@@ -120,8 +122,15 @@ def test_lyapunov_function_falls_in_the_ideal_case():
         t = result.terms.values.position
         values.append(
             position_lyapunov(
-                t.error, t.U_error, memory.position_integral, memory.position_weights, mass_kg=true_mass,
-                ideal_weights=W, K_i=np.array(g.K_i), N=g.N, beta=0.5,
+                t.error,
+                t.U_error,
+                memory.position_integral,
+                memory.position_weights,
+                mass_kg=true_mass,
+                ideal_weights=W,
+                K_i=np.array(g.K_i),
+                N=g.N,
+                beta=0.5,
             )
         )
         # f_W of (10) as the network's own function, and the force applied exactly: ideal actuators
@@ -147,14 +156,7 @@ def test_logged_lyapunov_value_by_hand():
     memory.values["position_integral"] = (0, 0, 0.2)
     memory.values["position_weights"][3, 1] = 0.5
     t = law.step(memory, Plant().state(), at_rest((0.1, 0, 0)), 0.01, RUN).terms.values
-    assert t.position.lyapunov == pytest.approx(0.5 * (0.01 + 1.253 * 0.04 + 5 * 0.04 + 0.25 / 2.5), rel=1e-12)
+    assert t.position.lyapunov == pytest.approx(
+        0.5 * (0.01 + 1.253 * 0.04 + 5 * 0.04 + 0.25 / 2.5), rel=1e-12
+    )
     assert t.position.weight_norm == pytest.approx(0.5)
-
-
-def test_predictor_needs_setpoints_to_say_more_than_straight_on():
-    predictor = Predictor(QBALL2, ControlLevel.ATTITUDE)
-    plant = Plant()
-    plant.v = np.array([1.0, 0.0, 0.0])
-    ahead = predictor.predict(plant.state())
-    np.testing.assert_allclose(ahead.position_enu, [predictor.delay_s, 0, 0])
-    assert ahead.time_s == pytest.approx(predictor.ahead_s)

@@ -6,14 +6,21 @@ from control_cases import LAW_NAMES, LEVELS, law_of, random_memory, random_refer
 
 from companion.control.compiled import compiled, python_twin
 from companion.control.law import pack_input
-from companion.control.packing import INPUT, LOOP_GAINS, LOOP_TERMS, TERMS, Memory, memory_dtype, parameters_dtype
+from companion.control.packing import (
+    INPUT,
+    LOOP_GAINS,
+    LOOP_TERMS,
+    TERMS,
+    Memory,
+    memory_dtype,
+    parameters_dtype,
+)
 from companion.control.structs import AdaptationGate
 
 
 def run(kernel, law, memory, inputs):
-    following = np.zeros(1, memory_dtype(law.hidden))[0]
-    terms = np.zeros(1, TERMS)[0]
-    kernel(law.parameters, memory, inputs, following, terms)
+    following, terms = np.zeros(1, memory_dtype(law.hidden)), np.zeros(1, TERMS)
+    kernel(law.packed_parameters, memory, inputs, following, terms)
     return following, terms
 
 
@@ -31,10 +38,12 @@ def test_compiled_and_uncompiled_agree(name, level):
     assert not hasattr(twin, "py_func")
     rng = np.random.default_rng(LAW_NAMES.index(name) * 10 + LEVELS.index(level))
     start = random_memory(rng, law)
-    fast, slow = start.values, start.values
+    fast, slow = start.packed, start.packed
     for k in range(10):
         gate = AdaptationGate.FREEZE if k == 5 else AdaptationGate.RUN
-        inputs = pack_input(random_state(rng), random_reference(rng), rng.uniform(0.002, 0.05), gate).view(INPUT)[0]
+        inputs = pack_input(random_state(rng), random_reference(rng), rng.uniform(0.002, 0.05), gate).view(
+            INPUT
+        )
         fast, fast_terms = run(law.kernel, law, fast, inputs)
         slow, slow_terms = run(twin, law, slow, inputs)
         assert fast_terms["bounds"] == slow_terms["bounds"]

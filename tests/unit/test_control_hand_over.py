@@ -43,7 +43,9 @@ def test_the_following_commands_leave_without_a_jump(name):
     """No step of thrust above 0.2 N or of attitude above 0.4° at 100 Hz while hovering with 5 N of unknown weight."""
     law = law_of(name)
     plant = Plant(level="attitude")
-    memory = law.take_over(law.initial_memory(), plant.state(), at_rest(), 1.79 * GRAVITY, quaternion_of(np.eye(3)))
+    memory = law.take_over(
+        law.initial_memory(), plant.state(), at_rest(), 1.79 * GRAVITY, quaternion_of(np.eye(3))
+    )
     last = (1.79 * GRAVITY, quaternion_of(np.eye(3)))
     for _ in range(600):
         result = law.step(memory, plant.state(), at_rest(), 0.01, RUN)
@@ -82,7 +84,9 @@ def test_what_the_integral_may_not_hold_fades_instead():
     from companion.control.structs import ControlLevel
 
     law = law_of(gains=gains_of("dtlannc", ControlLevel.ATTITUDE, integral_bound=2.0))
-    memory = law.take_over(law.initial_memory(), Plant().state(), at_rest(), 17.5599, quaternion_of(np.eye(3)))
+    memory = law.take_over(
+        law.initial_memory(), Plant().state(), at_rest(), 17.5599, quaternion_of(np.eye(3))
+    )
     assert law.parameters.position.K_i[2] * memory.position_integral[2] == pytest.approx(2.0)
     assert memory.values.hand_over_force[2] == pytest.approx(17.5599 - MASS_ESTIMATE * GRAVITY - 2.0)
 

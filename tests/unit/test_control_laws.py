@@ -220,7 +220,12 @@ def test_gate(gate):
     result = law.step(memory, HOVER, at_rest((0.05, 0.05, 0.05)), 0.01, gate)
     after = result.memory
     if gate is AdaptationGate.GROUND:
-        for part in (after.position_integral, after.position_weights, after.attitude_integral, after.attitude_weights):
+        for part in (
+            after.position_integral,
+            after.position_weights,
+            after.attitude_integral,
+            after.attitude_weights,
+        ):
             assert not part.any()
         return
     integral, weights = GATE_EFFECT[gate]
@@ -254,7 +259,9 @@ def test_integral_is_projected():
     assert np.linalg.norm(np.array([2, 2, 4]) * memory.position_integral) == pytest.approx(0.5, rel=1e-9)
 
 
-@pytest.mark.parametrize("what", ["position", "velocity", "quaternion", "body_rate", "dt", "length", "reference"])
+@pytest.mark.parametrize(
+    "what", ["position", "velocity", "quaternion", "body_rate", "dt", "length", "reference"]
+)
 def test_bad_numbers_are_refused(what):
     law = law_of()
     arrays = {

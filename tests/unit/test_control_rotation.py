@@ -61,7 +61,9 @@ def test_rate_matrix_is_the_derivative_of_the_angles(roll, pitch, yaw, a, b, c):
     behind = rotation.euler_from_quaternion(quaternion_of(R @ exp_so3(-w * h)))
     numeric = [rotation.wrap_angle(x - y) / (2 * h) for x, y in zip(ahead, behind, strict=True)]
     np.testing.assert_allclose(
-        rotation.times(rotation.rate_matrix(np.array([roll, pitch, yaw])), w), numeric, atol=3e-4 + 1e-6 * np.abs(w).max()
+        rotation.times(rotation.rate_matrix(np.array([roll, pitch, yaw])), w),
+        numeric,
+        atol=3e-4 + 1e-6 * np.abs(w).max(),
     )
 
 

@@ -28,7 +28,9 @@ YAW = st.floats(-math.pi, math.pi)
     ],
 )
 def test_desired_tilt_by_hand(force, yaw, euler):
-    np.testing.assert_allclose(flatness.euler_from_force(np.array(force, dtype=float), yaw), euler, atol=1e-12)
+    np.testing.assert_allclose(
+        flatness.euler_from_force(np.array(force, dtype=float), yaw), euler, atol=1e-12
+    )
 
 
 @given(st.floats(-20, 20), st.floats(-20, 20), st.floats(1, 40), YAW)
@@ -92,7 +94,9 @@ def test_setpoint_tilt_is_bounded_and_keeps_its_direction(roll, pitch, yaw):
         assert math.acos(min(1.0, r3[2])) == pytest.approx(limit, abs=1e-6)
         if abs(roll) < 1.5 and abs(pitch) < 1.5:
             before = rotation_zyx(roll, pitch, yaw)[:2, 2]
-            assert before @ r3[:2] >= 0 and abs(np.cross(np.append(before, 0), np.append(r3[:2], 0))[2]) < 1e-9
+            assert (
+                before @ r3[:2] >= 0 and abs(np.cross(np.append(before, 0), np.append(r3[:2], 0))[2]) < 1e-9
+            )
     else:
         np.testing.assert_array_equal(euler, [roll, pitch, yaw])
 
@@ -119,7 +123,10 @@ def test_coriolis_term_is_that_of_christoffel_symbols(euler, rate):
     """C η̇ from the derivatives of M alone: Σ (∂M_ij/∂η_k − ½ ∂M_jk/∂η_i) η̇_j η̇_k."""
     h = 1e-6
     dM = np.array(
-        [(mass_matrix(euler + h * e, INERTIA) - mass_matrix(euler - h * e, INERTIA)) / (2 * h) for e in np.eye(3)]
+        [
+            (mass_matrix(euler + h * e, INERTIA) - mass_matrix(euler - h * e, INERTIA)) / (2 * h)
+            for e in np.eye(3)
+        ]
     )
     expected = np.einsum("kij,j,k->i", dM, rate, rate) - 0.5 * np.einsum("ijk,j,k->i", dM, rate, rate)
     np.testing.assert_allclose(plant.coriolis_times(euler, rate, INERTIA, rate), expected, atol=2e-8)

@@ -1,0 +1,129 @@
+"""The predictor against the test plant, which is integrated apart from it."""
+
+import math
+
+import numpy as np
+import pytest
+from control_cases import QBALL2
+from control_plant import GRAVITY, Plant, matrix_of, quaternion_of, rotation_zyx
+
+from companion.control.prediction import RING, Predictor
+from companion.control.structs import ControlLevel, Setpoint, VehicleState
+
+LEVELS = list(ControlLevel)
+
+
+def profile(dead_time, estimator=0.0):
+    response = QBALL2.response().model_copy(
+        update={"dead_time_s": dead_time, "rate_dead_time_s": dead_time, "actuator_dead_time_s": dead_time}
+    )
+    return QBALL2.model_copy(
+        update={"responses": {"px4": response}, "estimator_delay_s": estimator, "mass_ratio": 1.0}
+    )
+
+
+def wild_setpoint(rng, level, t):
+    attitude = quaternion_of(rotation_zyx(0.3 * math.sin(3 * t), 0.25 * math.cos(2 * t), 0.5 * t))
+    rates = np.array([0.8 * math.sin(5 * t), 0.6 * math.cos(4 * t), 0.4])
+    return Setpoint(level, 1.79 * GRAVITY + 3 * math.sin(4 * t), attitude, rates, rng.normal(0, 0.02, 3))
+
+
+@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("dead_time", [0.05, 0.12])
+def test_prediction_is_where_the_vehicle_gets_to(level, dead_time):
+    rng = np.random.default_rng(0)
+    predictor = Predictor(profile(dead_time), level)
+    response = QBALL2.response()
+    plant = Plant(
+        level=level.value,
+        rotor_lag_rad_s=QBALL2.rotors.lag_rad_s,
+        dead_time_s=dead_time,
+        frequency_rad_s=response.tilt.natural_frequency_rad_s,
+        damping=response.tilt.damping,
+        yaw_frequency_rad_s=response.yaw.natural_frequency_rad_s,
+        rate_lag_s=response.rate_lag_s,
+        drag=np.zeros(3),
+        rotational_drag=np.zeros(3),
+    )
+    plant.damping = 0.62
+    predictor._mass = plant.mass  # what has been carried, settled
+    guesses, straight, truths = {}, {}, {}
+    for k in range(200):
+        state = plant.state()
+        truths[k] = state
+        if k > 20:
+            ahead = predictor.predict(state)
+            assert ahead.time_s == pytest.approx(state.time_s + dead_time)
+            guesses[k + round(dead_time * 100)] = ahead
+            straight[k + round(dead_time * 100)] = state.position_enu + dead_time * state.velocity_enu
+        setpoint = wild_setpoint(rng, level, plant.time)
+        plant.command(setpoint)
+        predictor.sent(plant.time, setpoint)
+        predictor._mass = plant.mass
+        plant.advance(0.01)
+    gaps, lazy = [], []
+    for k, guess in guesses.items():
+        if k not in truths:
+            continue
+        truth = truths[k]
+        gaps.append(np.linalg.norm(guess.position_enu - truth.position_enu))
+        lazy.append(np.linalg.norm(straight[k] - truth.position_enu))
+        turn = matrix_of(guess.quaternion_wxyz).T @ matrix_of(truth.quaternion_wxyz)
+        angle = math.acos(min(1.0, (np.trace(turn) - 1) / 2))
+        assert angle < math.radians(0.6 if level is not ControlLevel.ATTITUDE else 2.0)
+        np.testing.assert_allclose(guess.velocity_enu, truth.velocity_enu, atol=0.02)
+    assert max(gaps) < 0.1 * max(lazy)
+
+
+def test_old_estimates_are_brought_up_to_date():
+    """An estimate that is 30 ms old: the vehicle flew on at 2 m/s."""
+    predictor = Predictor(profile(0.02, estimator=0.03), ControlLevel.ATTITUDE)
+    level = np.array([1.0, 0, 0, 0])
+    for k in range(100):
+        predictor.sent(
+            0.01 * k, Setpoint(ControlLevel.ATTITUDE, 1.79 * GRAVITY, level, np.zeros(3), np.zeros(3))
+        )
+    state = VehicleState(1.0, np.zeros(3), np.array([2.0, 0, 0]), level, np.zeros(3))
+    ahead = predictor.predict(state)
+    assert predictor.delay_s == pytest.approx(0.05)
+    assert ahead.time_s == pytest.approx(1.02)
+    np.testing.assert_allclose(ahead.position_enu, [0.1, 0, 0], atol=1e-6)
+
+
+def test_carried_mass_is_found_not_told():
+    """Thrust commands that carry 2.4 kg for 5 s, on a profile that says 1.79 kg and a law told 70 % of it."""
+    predictor = Predictor(QBALL2, ControlLevel.ATTITUDE)
+    level = np.array([1.0, 0, 0, 0])
+    assert predictor.mass_kg == pytest.approx(1.253)
+    for k in range(500):
+        predictor.sent(0.01 * k, Setpoint(ControlLevel.ATTITUDE, 2.4 * 9.81, level, np.zeros(3), np.zeros(3)))
+    assert predictor.mass_kg == pytest.approx(2.4, rel=0.01)
+    for k in range(500, 1000):  # idle after landing carries nothing and is not believed
+        predictor.sent(0.01 * k, Setpoint(ControlLevel.ATTITUDE, 0.5, level, np.zeros(3), np.zeros(3)))
+    assert predictor.mass_kg == pytest.approx(2.4, rel=0.01)
+
+
+def test_a_clock_that_steps_back_does_no_harm():
+    predictor = Predictor(QBALL2, ControlLevel.ATTITUDE)
+    level = np.array([1.0, 0, 0, 0])
+    hover = Setpoint(ControlLevel.ATTITUDE, 1.253 * 9.81, level, np.zeros(3), np.zeros(3))
+    for time_s in [*np.arange(0, 3 * RING) * 0.01, 0.5, 0.5, 0.51, -1.0, 2.0]:
+        predictor.sent(float(time_s), hover)
+        ahead = predictor.predict(VehicleState(float(time_s), np.zeros(3), np.zeros(3), level, np.zeros(3)))
+        assert np.isfinite(ahead.position_enu).all()
+        assert np.abs(ahead.position_enu).max() < 0.01
+        assert np.linalg.norm(ahead.quaternion_wxyz) == pytest.approx(1.0)
+
+
+def test_without_delay_a_state_is_left_alone():
+    predictor = Predictor(profile(0.0), ControlLevel.ATTITUDE)
+    state = Plant().state()
+    assert predictor.predict(state) is state
+
+
+def test_without_setpoints_the_vehicle_flies_straight_on():
+    predictor = Predictor(QBALL2, ControlLevel.ATTITUDE)
+    state = VehicleState(5.0, np.zeros(3), np.array([1.0, 0, 0]), np.array([1.0, 0, 0, 0]), np.zeros(3))
+    ahead = predictor.predict(state)
+    np.testing.assert_allclose(ahead.position_enu, [predictor.delay_s, 0, 0])
+    assert ahead.time_s == pytest.approx(5.0 + predictor.ahead_s)
