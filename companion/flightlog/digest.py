@@ -2,8 +2,9 @@
 
 Left out: channels and fields marked as wall clock (/timing, the clock offset), event fields named
 `wall_…`, metadata named `wall…` or `clock`, the fixed offset between autopilot time and UTC, and what
-TIMESYNC frames hold, which is the companion's clock by nature (that one came counts). Chunks, compression
-and the interleaving of channels do not count either; Foxglove's poses are made of /state and the rest.
+TIMESYNC frames hold, which is the companion's clock by nature (that one came counts), and the sequence
+number of every MAVLink frame with the checksum over it: a peer that called before we listened starts at
+another number. Chunks, compression and the interleaving of channels do not count either; Foxglove's poses are made of /state and the rest.
 """
 
 from __future__ import annotations
@@ -100,8 +101,8 @@ def _content(item: RawChannel, offset: int) -> Iterator[tuple[int, bytes]]:
     for log_time, message in zip(item.log_times_ns, item.messages, strict=True):
         if item.topic == events.TOPIC:
             message = _without_wall_clock(message)
-        elif item.topic.startswith("/mavlink/") and _message_id(message[_FRAME_OFFSET:]) == TIMESYNC_ID:
-            message = message[:_FRAME_OFFSET]
+        elif item.topic.startswith("/mavlink/"):
+            message = message[:_FRAME_OFFSET] + _lasting(message[_FRAME_OFFSET:])
         elif blanks:
             blanked = bytearray(message)
             for part in blanks:
@@ -124,11 +125,18 @@ def _wall_slices(item: RawChannel) -> list[slice]:
     return slices
 
 
-def _message_id(frame: bytes) -> int:
-    """Return the id of a MAVLink frame, -1 for what is none."""
-    if len(frame) >= 10 and frame[0] == 0xFD:
-        return int.from_bytes(frame[7:10], "little")
-    return frame[5] if len(frame) >= 6 and frame[0] == 0xFE else -1
+def _lasting(frame: bytes) -> bytes:
+    """Return what of a MAVLink frame is the same in every run: header without sequence number, and payload."""
+    if (
+        len(frame) >= 12 and frame[0] == 0xFD
+    ):  # MAVLink 2: magic, length, flags, flags, sequence, ids, payload
+        number, head, sequence = int.from_bytes(frame[7:10], "little"), 10, 4
+    elif len(frame) >= 8 and frame[0] == 0xFE:  # MAVLink 1: magic, length, sequence, ids, payload
+        number, head, sequence = frame[5], 6, 2
+    else:
+        return frame
+    payload = b"" if number == TIMESYNC_ID else frame[head : head + frame[1]]
+    return frame[:sequence] + frame[sequence + 1 : head] + payload
 
 
 def _without_wall_clock(message: bytes) -> bytes:

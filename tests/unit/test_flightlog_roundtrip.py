@@ -238,7 +238,10 @@ def test_digest_does_not_care_for_utc_or_the_clock_of_events(tmp_path):
             log.record(log.define(STATE), 1.0, np.zeros(15))
             log.event("ended", 2.0, outcome="completed", wall_s=wall)
             log.record(log.define(ESTIMATES), 1.0, 0.5, wall, wall, 0.02, 12.0)
+            mav.seq = int(wall)
             log.mavlink("in", 1.0, mav.timesync_encode(0, int(wall)).pack(mav))
+            for old in (False, True):
+                log.mavlink("in", 1.0, mav.heartbeat_encode(2, 12, 0, 7, 4).pack(mav, force_mavlink1=old))
     assert digest(tmp_path / "a") == digest(tmp_path / "b")
     assert differences(tmp_path / "a", tmp_path / "b") == []
 
