@@ -1,10 +1,11 @@
 """What a log says, in one number: equal for two runs of the same seed, whatever the wall clock did.
 
 Left out: channels and fields marked as wall clock (/timing, the clock offset), event fields named
-`wall_…`, metadata named `wall…` or `clock`, the fixed offset between autopilot time and UTC, and what
-TIMESYNC frames hold, which is the companion's clock by nature (that one came counts), and the sequence
-number of every MAVLink frame with the checksum over it: a peer that called before we listened starts at
-another number. Chunks, compression and the interleaving of channels do not count either; Foxglove's poses are made of /state and the rest.
+`wall_…`, metadata named `wall…` or `clock`, the fixed offset between autopilot time and UTC, what TIMESYNC
+frames hold, which is the companion's clock by nature (that one came counts), and the sequence number of
+every MAVLink frame with the checksum over it: a peer that called before we listened starts at another
+number. Chunks, compression and the interleaving of channels do not count either; Foxglove's poses are made
+of /state and the rest.
 """
 
 from __future__ import annotations
