@@ -65,6 +65,8 @@ class Server:
         """Lockstep given up for now because answers stopped."""
         self._autopilot: Autopilot | None = None
         self._barriers: dict[int, Barrier] = {}
+        self._held: list[tuple[Link, Received]] = []
+        """Lockstep: messages of clients that had answered for the instant already."""
         self._selector = selectors.DefaultSelector()
         self._registered: dict[int, Port] = {}
         self.wall_start = 0.0
@@ -144,10 +146,21 @@ class Server:
         autopilot = self._autopilot
         assert autopilot is not None
         for link, message in arrived:
-            if message.name == "TIMESYNC" and message.values["tc1"] != 0:
+            if self._is_ahead(link):
+                self._held.append((link, message))
+            elif message.name == "TIMESYNC" and message.values["tc1"] != 0:
                 self._answered(link, message.values["ts1"])
             elif link in autopilot.links:
                 autopilot.handle(link, message)
+
+    def _is_ahead(self, link: Link) -> bool:
+        """Whether `link` has answered for this instant already: what it says now belongs to the next one.
+
+        Without this, whether a message counts for this instant or the next would hang on how fast it came.
+        """
+        barrier = self._barriers.get(id(link))
+        in_step = self.lockstep and not self.free_running
+        return in_step and barrier is not None and barrier.takes_part and barrier.waiting_for_ns < 0
 
     def _answered(self, link: Link, ts1: int) -> None:
         barrier = self._barriers.get(id(link))
@@ -215,6 +228,8 @@ class Server:
                 self._handle(self._receive(0.0))
             if self.free_running:
                 self.say("no TIMESYNC answers: going on in real time until they return")
+                held, self._held = self._held, []
+                self._handle(held)
                 self._run_clocked(autopilot, lambda: not self.free_running)
                 if not self._finished(autopilot):
                     self.say("TIMESYNC answers are back: lockstep again")
@@ -262,6 +277,8 @@ class Server:
 
     def _wait_for_answers(self, autopilot: Autopilot) -> None:
         deadline = time.monotonic() + BARRIER_PATIENCE_S
+        held, self._held = self._held, []
+        self._handle(held)
         while not self.stopping:
             waiting = [link for link in autopilot.links if self._barriers[id(link)].waiting_for_ns >= 0]
             if not waiting:

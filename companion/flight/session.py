@@ -60,7 +60,10 @@ def fly(settings: Settings, options: SessionOptions, reporter: Reporter) -> Flig
         UserError: the flight could not begin for a reason that the user can mend.
     """
     trajectory = trajectory_from_text(settings.flight.trajectory)
-    _law(settings, None).warm_up()  # seconds, so before anything is listening to us
+    _law(settings, None).warm_up()  # seconds, so before anybody is listening to us
+    Predictor(settings.profile, settings.level)
+    for line in realtime.prepare():
+        reporter.say(line)
     transport = open_transport(options.endpoint)
     link = Link(transport)
     try:
@@ -133,8 +136,6 @@ def _control_loop(
     )
     recorder.log.metadata("parameters", vehicle.parameters.values)
     predictor = Predictor(profile, settings.level, adapter.profile_key)
-    for line in realtime.prepare():
-        reporter.say(line)
     return ControlLoop(vehicle, law, predictor, thrust, settings.flight, recorder)
 
 

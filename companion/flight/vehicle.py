@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections import deque
 from collections.abc import Callable
 
 from companion.autopilot.adapter import Adapter, VehicleStatus
@@ -48,7 +47,6 @@ class Vehicle:
         self.on_state: Callable[[VehicleState], None] = lambda _: None
         self.on_message: Callable[[Message], None] = lambda _: None
         self.watch: Callable[[], None] = lambda: None
-        self._waiting: deque[Message] = deque()
 
     # Waiting ----------------------------------------------------------------------------------------
 
@@ -67,14 +65,13 @@ class Vehicle:
             standing_s = min(self.link.clock_stands_s, time.monotonic() - asked_s)
             if standing_s > timeout_s:
                 raise WaitedTooLong(f"{what or 'the autopilot'}: nothing after {timeout_s:.0f} s")
-            if not self._waiting:
-                self._waiting.extend(self.link.receive(POLL_S))
-                if not self._waiting:
-                    self.link.keep_alive()
-                    if self.link.silence_s > self.silence_limit_s:
-                        raise LinkLost(f"nothing heard from the autopilot for {self.silence_limit_s:.1f} s")
-                    continue
-            self._handle(self._waiting.popleft())
+            message = self.link.receive(POLL_S)
+            if message is None:
+                self.link.keep_alive()
+                if self.link.silence_s > self.silence_limit_s:
+                    raise LinkLost(f"nothing heard from the autopilot for {self.silence_limit_s:.1f} s")
+                continue
+            self._handle(message)
             started_s = started_s or self.link.autopilot_time_s  # 0 until the first time stamp
             if self.link.autopilot_time_s - started_s > timeout_s:
                 raise WaitedTooLong(f"{what or 'the autopilot'}: nothing after {timeout_s:.0f} s")
@@ -105,7 +102,9 @@ class Vehicle:
         while self.link.heartbeat is None:
             self.watch()
             self.link.keep_alive()
-            self._waiting.extend(self.link.receive(POLL_S))
+            message = self.link.receive(POLL_S)
+            if message is not None:
+                self._handle(message)
             if time.monotonic() > deadline and self.link.heartbeat is None:
                 raise UserError(self._why_nobody(timeout_s))
         heartbeat = self.link.heartbeat

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable
 from typing import Any, Protocol
 
@@ -47,6 +47,7 @@ class Link:
         now_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self._transport = transport
+        self._frames: deque[bytearray] = deque()
         self._framer = None if transport.datagrams else StreamFramer()
         self._codec = mav.MAVLink(None, srcSystem=1, srcComponent=OUR_COMPONENT)
         self._codec.robust_parsing = True
@@ -94,51 +95,55 @@ class Link:
         total = self.counters["received"] + self.counters["lost"]
         return self.counters["lost"] / total if total else 0.0
 
-    def receive(self, timeout_s: float) -> list[Message]:
-        """The autopilot's messages that are waiting, in order; wait at most `timeout_s` for the first.
+    def receive(self, timeout_s: float) -> Message | None:
+        """The autopilot's next message, waiting at most `timeout_s` for it; None when there is none.
+
+        One at a time, and nothing is believed of a frame before its turn: `autopilot_time_s` and the log then do
+        not depend on how many frames happened to arrive together.
 
         Raises:
             ConnectionError: when a TCP or serial connection broke.
         """
-        if not self._transport.wait(timeout_s):
-            return []
-        messages: list[Message] = []
-        for chunk in self._transport.receive():
-            if self._framer is None:
-                frames, used, skipped = split_frames(chunk)
-                self.counters["stray bytes"] += skipped + len(chunk) - used
-            else:
-                frames = self._framer.feed(chunk)
-            for frame in frames:
-                self._take(frame, messages)
-        return messages
+        if not self._frames and self._transport.wait(timeout_s):
+            for chunk in self._transport.receive():
+                if self._framer is None:
+                    frames, used, skipped = split_frames(chunk)
+                    self.counters["stray bytes"] += skipped + len(chunk) - used
+                    self._frames.extend(frames)
+                else:
+                    self._frames.extend(self._framer.feed(chunk))
+        while self._frames:
+            message = self._believe(self._frames.popleft())
+            if message is not None:
+                return message
+        return None
 
-    def _take(self, frame: bytearray, messages: list[Message]) -> None:
+    def _believe(self, frame: bytearray) -> Message | None:
+        """Decode one frame; None for what is damaged, unknown, not our autopilot's, or answered here."""
         try:
             message = self._codec.decode(frame)
         except mav.MAVError:
             self.counters["bad frames"] += 1
             if self._framer is not None:
-                for hidden in self._framer.reject(frame):
-                    self._take(hidden, messages)
-            return
+                self._frames.extendleft(reversed(self._framer.reject(frame)))
+            return None
         if message.get_msgId() < 0:
             self.counters["unknown messages"] += 1
-            return
+            return None
         if not self._is_our_autopilot(message):
             self.counters["other senders"] += 1
-            return
+            return None
         self._count_loss(message.get_seq())
         self.last_message_ns = self._now_ns()
         self._note_time(message)
         if self._tap is not None:
             self._tap(False, self._boot_time_s, bytes(frame))
-        if message.get_msgId() == mav.MAVLINK_MSG_ID_TIMESYNC:
-            self._answer_timesync(message, messages)
-            return
+        if message.get_msgId() == mav.MAVLINK_MSG_ID_TIMESYNC and message.tc1 != 0:
+            self.timesync.add(message.ts1, message.tc1, self.last_message_ns)
+            return None
         if message.get_msgId() == mav.MAVLINK_MSG_ID_HEARTBEAT:
             self.heartbeat = message
-        messages.append(message)
+        return message
 
     def _is_our_autopilot(self, message: Message) -> bool:
         system, component = message.get_srcSystem(), message.get_srcComponent()
@@ -175,17 +180,11 @@ class Link:
             self._boot_time_s = boot_s
             self._clock_moved_ns = self.last_message_ns
 
-    def _answer_timesync(self, message: Message, messages: list[Message]) -> None:
-        now_ns = self._now_ns()
-        if message.tc1 != 0:
-            self.timesync.add(message.ts1, message.tc1, now_ns)
-            return
-        # What came before the question is handled by the caller before the answer goes out: a simulator that
-        # waits for the answer then knows that its state has been dealt with.
-        messages.append(message)
-
     def answer_timesync(self, question: Message) -> None:
-        """Send the answer to a TIMESYNC question; the caller calls this in the order of messages."""
+        """Answer a TIMESYNC question that `receive` returned, after all that came before it has been dealt with.
+
+        A simulator that waits for the answer then knows that its state has been dealt with, too.
+        """
         self.send(mav.MAVLink_timesync_message(self._now_ns(), question.ts1))
 
     def send(self, message: Message) -> bool:
