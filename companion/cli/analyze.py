@@ -17,8 +17,9 @@ EXAMPLE = """examples:
   companion analyze flights/flight.mcap --from 8 --to 40 --json
   companion analyze flights/flight.mcap --report flight.html
 
-Errors are reference minus truth where the log holds the truth, at the truth's own samples, and
-reference minus estimate beside it, along the axes of the trajectory as it was laid out. The window is in seconds since tracking started.
+Errors are reference minus truth where the log holds the truth, at the truth's own samples, and reference
+minus estimate beside it, along the axes of the trajectory as it was laid out. The window is in seconds since
+tracking started.
 """
 
 
