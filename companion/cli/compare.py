@@ -1,19 +1,25 @@
-"""`companion compare`: several controllers' flights in one table with P_imp, as the report prints it."""
+"""`companion compare`: several controllers in one table with P_imp, as the report prints it.
+
+Give it logs of flights, or let it fly them: each controller on the same seeds, the same m̂, the same trajectory.
+"""
 
 from __future__ import annotations
 
 import argparse
 import json
 import os
+import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
-from companion.analysis.comparison import Comparison, compare_logs, comparison_table
 from companion.cli.analyze import add_window
+from companion.cli.fly import add_flight_options, default_log_path, fly_once
+from companion.config.errors import UserError
 
-EXAMPLE = """example:
+EPILOG = """examples:
+  companion compare --sitl px4 --seeds 1-5                       fly three controllers on five seeds, then compare
+  companion compare --sitl px4-1.13 --level actuator --controllers dtlannc,my_law
   companion compare flights/tlmbc.mcap flights/nnsmc.mcap flights/dtlannc.mcap --report compare.html
 
 Flights of one controller are averaged over their seeds. P_imp is against TLMBC.
@@ -24,22 +30,67 @@ def add_parser(subparsers: Any) -> None:
     """Add the command to `companion`."""
     parser = subparsers.add_parser(
         "compare",
-        help="compare controllers from their logs",
+        help="compare controllers, from their logs or by flying them",
         description=__doc__,
-        epilog=EXAMPLE,
+        epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("logs", metavar="LOG", nargs="+", help="flights' MCAP files, whole or cut")
+    parser.add_argument("logs", metavar="LOG", nargs="*", help="flights' MCAP files, whole or cut")
+    add_flight_options(parser, required=False)
+    parser.add_argument("--controllers", default="tlmbc,nnsmc,dtlannc", metavar="NAMES", help="which to fly")
+    parser.add_argument(
+        "--seeds", default="1-3", metavar="LIST", help="which seeds to fly, e.g. 1-5 or 1,4,7"
+    )
+    parser.add_argument(
+        "--folder", metavar="DIR", help="where the flown logs go (default: flights/compare-TIME)"
+    )
     add_window(parser)
     parser.add_argument("--json", action="store_true", help="print JSON instead of the table")
     parser.add_argument("--report", metavar="FILE", help="also write an HTML report with figures")
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Compare and print. Raises UserError for what is no log, or when none of them tracked."""
-    show_comparison(arguments.logs, arguments.from_s, arguments.to_s, arguments.json, arguments.report)
+    """Fly if asked to, compare and print. Raises UserError for wrong input."""
+    flies = bool(arguments.sitl or arguments.endpoint)
+    if flies == bool(arguments.logs):
+        raise UserError(
+            "give either logs of flights, or --sitl or --endpoint to fly them; see companion compare --help"
+        )
+    logs = _fly_all(arguments) if flies else arguments.logs
+    show_comparison(logs, arguments.from_s, arguments.to_s, arguments.json, arguments.report)
     return 0
+
+
+def _fly_all(arguments: argparse.Namespace) -> list[Path]:
+    controllers = [name.strip() for name in arguments.controllers.split(",") if name.strip()]
+    seeds = parse_seeds(arguments.seeds)
+    folder = Path(arguments.folder or default_log_path("compare", arguments.level).with_suffix(""))
+    logs = []
+    for number, (seed, controller) in enumerate([(s, c) for s in seeds for c in controllers], start=1):
+        print(
+            f"== flight {number} of {len(seeds) * len(controllers)}: {controller}, seed {seed}",
+            file=sys.stderr,
+        )
+        log = folder / f"{controller}-{arguments.level}-seed{seed}.mcap"
+        outcome, text, code = fly_once(arguments, controller, seed, log, overwrite=True)
+        print(f"{outcome}: {text}", file=sys.stderr)
+        if code == 2:
+            raise UserError(f"{controller}, seed {seed}, was refused; nothing to compare")
+        logs.append(log)
+    return logs
+
+
+def parse_seeds(text: str) -> list[int]:
+    """`1-3,7` → [1, 2, 3, 7]. Raises UserError for anything else."""
+    seeds: list[int] = []
+    for part in text.split(","):
+        first, dash, last = part.strip().partition("-")
+        if not first.isdecimal() or (dash and not last.isdecimal()):
+            raise UserError(f"--seeds {text}: write numbers and ranges, for example 1-5 or 1,4,7")
+        seeds += range(int(first), int(last or first) + 1)
+    if not seeds:
+        raise UserError(f"--seeds {text}: holds no seed")
+    return seeds
 
 
 def show_comparison(
@@ -47,9 +98,13 @@ def show_comparison(
     from_s: float | None = None,
     to_s: float | None = None,
     as_json: bool = False,
-    report: str | os.PathLike[str] | None = None,
-) -> Comparison:
-    """Compare logs, print the table (or JSON), write the report where one is asked for, and return the figures."""
+    report: str | None = None,
+) -> None:
+    """Compare logs, print the table (or JSON), write the report where one is asked for."""
+    from rich.console import Console
+
+    from companion.analysis.comparison import compare_logs, comparison_table
+
     comparison = compare_logs(logs, from_s, to_s)
     if report is not None:
         from companion.analysis.report import write_comparison_report  # matplotlib takes its time to load
@@ -57,9 +112,8 @@ def show_comparison(
         write_comparison_report(comparison, report)
     if as_json:
         print(json.dumps(comparison.to_json(), indent=2, ensure_ascii=False, allow_nan=False))
-        return comparison
+        return
     console = Console()
     console.print(comparison_table(comparison))
     if report is not None:
         console.print(f"report: {report}", soft_wrap=True, highlight=False)
-    return comparison

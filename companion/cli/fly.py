@@ -50,9 +50,9 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
 
 
-def add_flight_options(parser: argparse.ArgumentParser) -> None:
+def add_flight_options(parser: argparse.ArgumentParser, required: bool = True) -> None:
     """Options that `fly` and `compare` share."""
-    where = parser.add_mutually_exclusive_group(required=True)
+    where = parser.add_mutually_exclusive_group(required=required)
     where.add_argument(
         "--endpoint", metavar="ADDRESS", help="the autopilot's address, as pymavlink or MAVSDK spell it"
     )
