@@ -133,7 +133,11 @@ def with_vector(
             entries = list(table[last])
             for axis in parameter.axes:
                 # entries counted per inertia follow each axis' own
-                scale = profile.inertia_kg_m2[axis] / _unit(parameter, profile) if parameter.per == "inertia" else 1.0
+                scale = (
+                    profile.inertia_kg_m2[axis] / _unit(parameter, profile)
+                    if parameter.per == "inertia"
+                    else 1.0
+                )
                 entries[axis] = float(f"{value * scale:.4g}")
             table[last] = tuple(entries)
         else:

@@ -215,8 +215,8 @@ def _desired_rates(p: Record, m: Record, x: Record, m_next: Record, t: Record) -
         gap = angle - rest
         m_next.filter_angle[i] = rest + transition[0, 0] * gap + transition[0, 1] * rate
         m_next.filter_rate[i] = transition[1, 0] * gap + transition[1, 1] * rate
-        acceleration = p.filter_frequency**2 * (rest - m_next.filter_angle[i])
-        acceleration -= 2.0 * p.filter_damping * p.filter_frequency * m_next.filter_rate[i]
+        # the mean over the step: at its end, ẍ would miss half of what the held input stepped by
+        acceleration = (m_next.filter_rate[i] - rate) / x.dt if x.dt > 0.0 else 0.0
         t.euler_rate_desired[i] = t.flat_euler_rate[i] + m_next.filter_rate[i]
         t.euler_acceleration_desired[i] = t.flat_euler_acceleration[i] + acceleration
 
