@@ -110,6 +110,10 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+class _Stopped(BaseException):
+    """A signal while loading. No Exception, so that no library mistakes it for an error of its own."""
+
+
 class _Refusal(Exception):
     """A wrong argument: one line, exit code 2."""
 
@@ -206,8 +210,12 @@ def main(arguments: list[str] | None = None) -> int:
     stopping = threading.Event()
     servers: list[Server] = []
 
+    serving = threading.Event()
+
     def on_signal(number: int, frame: FrameType | None) -> None:
         stopping.set()
+        if not serving.is_set():
+            raise _Stopped  # still loading: nothing to finish
         for one in servers:
             one.stop()
 
@@ -229,6 +237,12 @@ def main(arguments: list[str] | None = None) -> int:
         autopilot = build_px4(
             options.firmware, vehicle, options.estimator, options.seed, (mean, 0.0, 0.0), gust, parameters
         )
+        serving.set()
+    except _Stopped:
+        for port in ports:
+            port.close()
+        _print_summary(options, 0.0, 0.0, [])
+        return 0
     except (_Refusal, ValueError) as error:
         for port in ports:
             port.close()

@@ -121,8 +121,9 @@ class StreamTable:
             stream.interval_us = 1e6 / rate if rate > 0 else 0.0
         else:
             stream.interval_us = max(interval_us, self.control_period_us)
-        loop = self.loop_period_us
-        stream.next_us = float((time_us // loop + 1) * loop)
+        if stream.interval_us > 0:
+            # All streams count from boot, so that those with commensurate intervals come together.
+            stream.next_us = (time_us // stream.interval_us + 1) * stream.interval_us
         self.of(link).refresh()
         self._choose_loop_period()
         return True

@@ -151,6 +151,8 @@ class UdpPort:
         self.local: Address = self.socket.getsockname()[:2]
         self.remote = remote
         self.links: list[Link] = []
+        self.strangers = FrameReader()
+        """Reads, and counts, what comes from addresses that are no client yet."""
         self._by_address: dict[Address, UdpLink] = {}
         if remote is not None:
             self._add(remote)
@@ -161,10 +163,8 @@ class UdpPort:
         self._by_address[address] = link
         return link
 
-    def _link_for(self, address: Address) -> UdpLink | None:
-        link = self._by_address.get(address)
-        if link is not None:
-            return link
+    def _link_for(self, address: Address) -> UdpLink:
+        """The link a new address gets."""
         if self.remote is not None and len(self.links) == 1 and not self.links[0].heard:
             # As PX4: until the configured address answers, whoever speaks first becomes the partner.
             first = self.links[0]
@@ -205,14 +205,14 @@ class UdpPort:
                 continue
             except OSError:
                 break
-            link_of = self._link_for(address)
-            if link_of is None:
-                continue
-            messages = link_of.reader.read_datagram(data)
+            known = self._by_address.get(address)
+            # A stranger becomes a client (or the partner) only with a frame that can be read.
+            messages = (self.strangers if known is None else known.reader).read_datagram(data)
             if messages:
-                link_of.heard = True
-                link_of.refused = False
-                batches.append((link_of, messages))
+                link = known if known is not None else self._link_for(address)
+                link.heard = True
+                link.refused = False
+                batches.append((link, messages))
         return batches
 
     def describe(self) -> dict[str, Any]:

@@ -1,0 +1,235 @@
+"""The stub as a process: starting, refusing, ending, lockstep over real sockets, clients that come and go."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from pymavlink import mavutil
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from sitl_stub import Stub, StubError
+
+
+class LockstepClient:
+    """Answers TIMESYNC after everything before it, calls `react` for each message, keeps a digest of all bytes."""
+
+    def __init__(self, stub: Stub) -> None:
+        self.stub = stub
+        self.connection = mavutil.mavlink_connection(stub.endpoint, source_system=255)
+        self.time_s = 0.0
+        self.digest = hashlib.sha256()
+        self.count = 0
+
+    def run(self, until_s: float, react: object = None, patience_s: float = 30.0) -> None:
+        end = time.monotonic() + patience_s
+        while self.time_s < until_s:
+            message = self.connection.recv_msg()
+            if message is None:
+                self.connection.select(0.2)
+                if not self.stub.running:
+                    return
+                assert time.monotonic() < end, f"stuck at {self.time_s} s"
+                continue
+            self.digest.update(bytes(message.get_msgbuf()))
+            self.count += 1
+            if message.get_type() == "TIMESYNC" and message.tc1 == 0:
+                self.time_s = message.ts1 * 1e-9
+                self.connection.mav.timesync_send(message.ts1 + 1, message.ts1)
+            elif callable(react):
+                react(self.connection.mav, message)
+
+    def close(self) -> None:
+        self.connection.close()
+
+
+def _take_off_script() -> object:
+    """Arm in offboard at 2 s and climb with position setpoints."""
+    state = {"asked": 0}
+
+    def react(mav: mavlink.MAVLink, message: object) -> None:
+        if message.get_type() != "ATTITUDE_QUATERNION":  # type: ignore[attr-defined]
+            return
+        now = message.time_boot_ms  # type: ignore[attr-defined]
+        mav.set_position_target_local_ned_send(now, 1, 1, 1, 0b100111111000, 0, 0, -2, 0, 0, 0, 0, 0, 0, 0, 0)
+        if now >= 2000 and state["asked"] == 0:
+            mav.command_long_send(1, 1, 176, 0, 1, 6, 0, 0, 0, 0, 0)
+            mav.command_long_send(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0)
+            state["asked"] = 1
+
+    return react
+
+
+def test_lockstep_gives_the_same_bytes_twice_and_outruns_the_clock() -> None:
+    digests = []
+    for _ in range(2):
+        with Stub(seed=5, lockstep=True, wind="1,1") as stub:
+            client = LockstepClient(stub)
+            started = time.monotonic()
+            client.run(8.0, _take_off_script())
+            wall = time.monotonic() - started
+            digests.append((client.count, client.digest.hexdigest()))
+            client.close()
+    assert digests[0] == digests[1]
+    assert digests[0][0] > 2000
+    assert wall < 8.0  # 15 to 30 times faster on an idle machine, loading numba included
+
+
+def test_ready_line_comes_fast_and_port_is_free() -> None:
+    started = time.monotonic()
+    with Stub() as first, Stub() as second:
+        assert time.monotonic() - started < 6.0  # 0.15 s each on an idle machine
+        assert first.endpoint != second.endpoint
+        assert first.ready["firmware"] == "px4"
+        assert first.mavsdk_address.startswith("udpin://127.0.0.1:")
+
+
+@pytest.mark.parametrize("transport", ["tcp", "udp-server"])
+def test_other_transports_serve_a_client(transport: str) -> None:
+    with Stub(transport=transport, speed=5.0) as stub:
+        connection = mavutil.mavlink_connection(stub.endpoint, source_system=255)
+        heartbeat = None
+        for _ in range(50):
+            connection.mav.heartbeat_send(6, 8, 0, 0, 4)
+            heartbeat = connection.recv_match(type="HEARTBEAT", blocking=True, timeout=0.2)
+            if heartbeat is not None:
+                break
+        assert heartbeat is not None and heartbeat.autopilot == mavlink.MAV_AUTOPILOT_PX4
+        connection.close()
+
+
+def test_lockstep_over_tcp() -> None:
+    with Stub(transport="tcp", lockstep=True) as stub:
+        client = LockstepClient(stub)
+        client.run(3.0)
+        assert client.time_s >= 3.0
+        client.close()
+
+
+def test_client_killed_in_lockstep_flight_is_landed_by_failsafe() -> None:
+    with Stub(lockstep=True, speed=5.0, exit_on_disarm=True) as stub:
+        client = LockstepClient(stub)
+        client.run(6.0, _take_off_script())
+        client.close()
+        # nobody answers: the refused datagrams say so at once, time runs by the clock, offboard loss lands it
+        assert stub.wait(30.0) == 0
+    assert stub.summary is not None
+    assert 7.0 < stub.summary["simulated_s"] < 25.0
+
+
+def test_client_comes_back_and_lockstep_resumes() -> None:
+    with Stub(lockstep=True) as stub:
+        client = LockstepClient(stub)
+        client.run(2.0)
+        client.close()
+        time.sleep(0.3)
+        again = LockstepClient(stub)
+        again.time_s = 0.0
+        resumed = time.monotonic()
+        again.run(25.0)
+        assert again.time_s >= 25.0
+        assert time.monotonic() - resumed < 20.0  # lockstep, not the clock
+        again.close()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "part"),
+    [
+        (["--vehicle", "nope"], "choose from"),
+        (["--param", "NOPE=3"], "unknown parameter"),
+        (["--param", "MC_ROLL_P"], "NAME=NUMBER"),
+        (["--estimator", "nope"], "mocap"),
+        (["--udp", "127.0.0.1:99999"], "0 to 65535"),
+        (["--wind", "strong"], "--wind"),
+        (["--mass", "-1"], "mass"),
+        (["--speed", "0"], "--speed"),
+        (["--seed", "-1"], "--seed"),
+    ],
+)
+def test_wrong_arguments_are_one_line_and_exit_two(arguments: list[str], part: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "sitl_stub", *arguments],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=30,
+    )
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert len(done.stderr.strip().splitlines()) == 1 and part in done.stderr
+
+
+@pytest.mark.parametrize("kind", ["udp", "tcp"])
+def test_taken_port_is_refused(kind: str) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM if kind == "udp" else socket.SOCK_STREAM) as holder:
+        holder.bind(("127.0.0.1", 0))
+        if kind == "tcp":
+            holder.listen()
+        port = holder.getsockname()[1]
+        option = ["--udp-server", f"127.0.0.1:{port}"] if kind == "udp" else ["--tcp", f"127.0.0.1:{port}"]
+        with pytest.raises(StubError, match=f"port {port} .* cannot be used"):
+            Stub(arguments=option).start()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signals_end_it_cleanly_with_a_summary(number: signal.Signals) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "sitl_stub", "--port", "0"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    assert "ready" in process.stdout.readline()
+    process.send_signal(number)
+    output, errors = process.communicate(timeout=20)
+    assert process.returncode == 0
+    assert "s simulated" in output.splitlines()[-1]
+    assert errors == ""
+
+
+def _is_zombie(pid: int) -> bool:
+    """Ended, and only waiting for somebody to look."""
+    status = Path(f"/proc/{pid}/stat")
+    return status.exists() and status.read_text().split()[2] == "Z"
+
+
+def test_no_orphan_when_the_parent_is_killed() -> None:
+    code = "import time; from sitl_stub import Stub; s = Stub(); s.start(); print(s.process.pid, flush=True)"
+    code += "; time.sleep(60)"
+    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None
+    child = int(parent.stdout.readline())
+    parent.kill()
+    parent.wait()
+    end = time.monotonic() + 15.0
+    while time.monotonic() < end:
+        try:
+            os.kill(child, 0)
+        except ProcessLookupError:
+            return
+        if _is_zombie(child):
+            return
+        time.sleep(0.1)
+    os.kill(child, signal.SIGKILL)
+    pytest.fail("the stub outlived its parent")
+
+
+def test_hostile_datagrams_do_not_stop_it() -> None:
+    with Stub(speed=2.0) as stub:
+        sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        own = tuple(stub.ready["links"][0]["local"])
+        for size in range(300):
+            sender.sendto(bytes([0xFD, size % 256]) + os.urandom(size), own)
+        connection = mavutil.mavlink_connection(stub.endpoint, source_system=255)
+        assert connection.recv_match(type="HEARTBEAT", blocking=True, timeout=10) is not None
+        connection.close()
+        sender.close()
+        assert stub.running
