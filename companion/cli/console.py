@@ -6,8 +6,8 @@ import math
 import sys
 
 from companion.autopilot.adapter import Finding, Verdict
-from companion.flight.flight import Reporter
 from companion.flight.phases import Phase
+from companion.flight.reporter import Reporter
 
 _MARKS = {Verdict.OK: "ok     ", Verdict.WARNING: "warning", Verdict.REFUSAL: "REFUSED"}
 _BAR = 24

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.autopilot.adapter import ARM, DISARM, Finding, Intent, Verdict
+from companion.autopilot.adapter import ARM, DISARM, Finding, Intent
 from companion.config.settings import FlightSettings
 from companion.control.structs import ControlLevel, Reference
 from companion.flight.control_loop import ControlLoop, at_rest, level_with_heading, yaw_of
@@ -25,16 +25,16 @@ from companion.flight.outcome import (
 )
 from companion.flight.phases import Phase
 from companion.flight.plan import FlightPlan, lay_out
+from companion.flight.preflight import Preflight, require
 from companion.flight.recorder import Recorder
+from companion.flight.reporter import Reporter
 from companion.flight.supervisor import Supervisor
 from companion.flight.vehicle import Vehicle
 from companion.mavlink.link import Message, mav
-from companion.mavlink.protocol import message_interval, request_message
 from companion.reference.trajectory import Frame, Placed, Trajectory, place
 from companion.reference.transit import TransitLimits
 
 _PROGRESS_S = 1.0
-_STREAM_SHARE = 0.7  # of the rate asked for; below it the level is not flown
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,19 +75,6 @@ class Interrupts:
         self._last_s = now_s
 
 
-class Reporter:
-    """Where a flight says what it does. The base class says nothing."""
-
-    def say(self, text: str) -> None:
-        """One line worth keeping."""
-
-    def progress(self, phase: Phase, time_s: float, of_s: float, text: str) -> None:
-        """Where we are, about once a second."""
-
-    def finding(self, finding: Finding) -> None:
-        """One preflight check."""
-
-
 class Flight:
     """See the module. `make_loop` builds the control loop once the autopilot is known."""
 
@@ -97,6 +84,7 @@ class Flight:
         request: FlightRequest,
         settings: FlightSettings,
         recorder: Recorder,
+        preflight: Preflight,
         reporter: Reporter,
         interrupts: Interrupts,
         make_loop: Callable[[Vehicle], ControlLoop],
@@ -106,6 +94,7 @@ class Flight:
         self._request = request
         self._settings = settings
         self._recorder = recorder
+        self._preflight = preflight
         self._reporter = reporter
         self._interrupts = interrupts
         self._make_loop = make_loop
@@ -118,7 +107,6 @@ class Flight:
         self._announced_mode = -1
         self._announced_armed = False
         self._next_progress_s = -math.inf
-        self._restore: list[tuple[str, float]] = []
         self.phase = Phase.CONNECT
 
     def run(self) -> FlightResult:
@@ -154,114 +142,27 @@ class Flight:
         version = ".".join(map(str, vehicle.version))
         reporter.say(f"{vehicle.adapter.name} {version}, system {vehicle.link.target_system}")
         self._enter(Phase.CHECK)
-        self._ask_for_streams()
-        vehicle.read_parameters(vehicle.adapter.parameters_needed())
+        checks = self._preflight
+        checks.ask_for_streams()
+        findings = checks.parameter_findings()
         self._loop = self._make_loop(vehicle)
-        findings = vehicle.adapter.check(vehicle.parameters.values, self._request.level, vehicle.version)
         if self._request.fix:
-            findings = self._fix(findings)
-        for finding in findings:
-            reporter.finding(finding)
-        refusals = [f for f in findings if f.verdict is Verdict.REFUSAL]
-        if refusals:
-            raise Refused("; ".join(f"{f.subject} {f.found}: {f.why}: {f.remedy}" for f in refusals))
-        self._enter(Phase.READY)
-        vehicle.on_state = self._loop.on_state
-        self._wait_until_ready()
-
-    def _fix(self, findings: list[Finding]) -> list[Finding]:
-        vehicle = self._vehicle
-        for finding in findings:
-            if finding.fix is None:
-                continue
-            name, value = finding.fix
-            before = vehicle.parameters.values[name]
-            if vehicle.set_parameter(name, value):
-                self._restore.append((name, before))
-                self._reporter.say(f"set {name} from {before:g} to {value:g} for this flight")
+            findings = checks.fix(findings)
+            for name, before, value in checks.changed:
                 self._recorder.log.event(
                     "parameter", vehicle.link.autopilot_time_s, name=name, before=before, value=value
                 )
-        return vehicle.adapter.check(vehicle.parameters.values, self._request.level, vehicle.version)
+        self._report(findings)
+        self._enter(Phase.READY)
+        vehicle.on_state = self._loop.on_state
+        waited_s = checks.wait_until_ready()
+        reporter.say(f"ready after {waited_s:.1f} s")
+        self._report([*checks.link_findings(checks.measure()), *checks.vehicle_findings()])
 
-    def _ask_for_streams(self) -> None:
-        vehicle = self._vehicle
-        rate_hz = self._settings.rate_hz
-        streams = {
-            mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED: min(rate_hz, 100.0),
-            mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: rate_hz,
-        }
-        for message_id, rate in streams.items():
-            if not vehicle.ask_for_stream(message_id, rate):
-                self._reporter.say(
-                    f"the autopilot refused message {message_id} at {rate:g} Hz; using what it sends"
-                )
-        wished = {
-            mav.MAVLINK_MSG_ID_ATTITUDE_TARGET: 50.0,
-            mav.MAVLINK_MSG_ID_SYS_STATUS: 2.0,
-            mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
-            mav.MAVLINK_MSG_ID_CURRENT_MODE: 10.0,
-            vehicle.adapter.truth_message_id: 50.0,
-            vehicle.adapter.estimator_message_id: 2.0,
-        }
-        for message_id, rate in wished.items():
-            vehicle.command(message_interval(message_id, rate))  # nice to have: a refusal is an answer
-        vehicle.command(request_message(mav.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN))
-
-    def _wait_until_ready(self) -> None:
-        vehicle, settings = self._vehicle, self._settings
-        started_s = vehicle.link.autopilot_time_s
-        told: list[str] = []
-
-        def ready() -> bool:
-            nonlocal told
-            reasons = vehicle.adapter.not_ready(vehicle.status)
-            if vehicle.state is None:
-                reasons.append("no local position yet")
-            if reasons != told and reasons:
-                self._reporter.say("waiting: " + ", ".join(reasons))
-            told = reasons
-            return not reasons
-
-        try:
-            vehicle.until(ready, settings.procedure.ready_timeout_s, "getting ready")
-        except WaitedTooLong:
-            raise Refused(
-                f"not ready after {settings.procedure.ready_timeout_s:.0f} s: {', '.join(told)}"
-                + self._last_texts()
-            ) from None
-        self._measure_streams()
-        waited_s = vehicle.link.autopilot_time_s - started_s
-        self._reporter.say(
-            f"ready after {waited_s:.1f} s; link {vehicle.link.timesync.round_trip_s * 1e3:.1f} ms round trip"
-        )
-
-    def _measure_streams(self) -> None:
-        """One second of states: are they as many as the level needs?"""
-        vehicle, level = self._vehicle, self._request.level
-        started_s = vehicle.link.autopilot_time_s
-        count = 0
-        on_state = vehicle.on_state
-
-        def counting(state: object) -> None:
-            nonlocal count
-            count += 1
-
-        vehicle.on_state = counting
-        vehicle.until(lambda: vehicle.link.autopilot_time_s - started_s >= 1.0, 5.0, "measuring streams")
-        vehicle.on_state = on_state
-        rate_hz = count / (vehicle.link.autopilot_time_s - started_s)
-        wanted_hz = self._settings.rate_hz
-        self._reporter.say(f"{rate_hz:.0f} states a second (asked for {wanted_hz:.0f})")
-        if rate_hz < level.minimum_rate_hz:
-            raise Refused(
-                f"{rate_hz:.0f} states a second arrive, level {level.value} needs {level.minimum_rate_hz:.0f}: "
-                "raise the link's rate (PX4: MAV_n_RATE, baud rate) or fly a higher level"
-            )
-        if rate_hz < _STREAM_SHARE * wanted_hz:
-            self._reporter.say(
-                f"warning: only {rate_hz:.0f} of {wanted_hz:.0f} states a second; tracking will be worse"
-            )
+    def _report(self, findings: list[Finding]) -> None:
+        for finding in findings:
+            self._reporter.finding(finding)
+        require(findings)
 
     # Into the air --------------------------------------------------------------------------------------
 
@@ -360,7 +261,7 @@ class Flight:
             else:
                 raise Refused(
                     f"the autopilot did not change to our mode ({vehicle.result_word(result)}; it is in "
-                    f"{vehicle.adapter.mode_name(vehicle.status.custom_mode)})" + self._last_texts()
+                    f"{vehicle.adapter.mode_name(vehicle.status.custom_mode)})" + self._vehicle.last_texts()
                 )
         self._engaged = True
 
@@ -382,7 +283,9 @@ class Flight:
                 return
             except WaitedTooLong:
                 continue
-        raise Refused(f"the autopilot did not arm ({vehicle.result_word(result)})" + self._last_texts())
+        raise Refused(
+            f"the autopilot did not arm ({vehicle.result_word(result)})" + self._vehicle.last_texts()
+        )
 
     # In the air ----------------------------------------------------------------------------------------
 
@@ -415,7 +318,7 @@ class Flight:
         else:
             raise HandedBack(
                 f"the autopilot did not take LAND ({vehicle.result_word(result)}); our setpoints stop, "
-                "so its own offboard-loss action brings it down" + self._last_texts()
+                "so its own offboard-loss action brings it down" + self._vehicle.last_texts()
             )
         self._loop.stop()
         vehicle.until(lambda: not vehicle.status.armed, self._settings.procedure.land_timeout_s, "landing")
@@ -486,12 +389,6 @@ class Flight:
         self._recorder.log.event("phase", self._vehicle.link.autopilot_time_s, phase=phase.value)
         self._reporter.progress(phase, math.nan, math.nan, "")
 
-    def _last_texts(self) -> str:
-        texts = [
-            text for severity, text in self._vehicle.status.texts if severity <= mav.MAV_SEVERITY_WARNING
-        ]
-        return f"; it says: {' / '.join(texts[-3:])}" if texts else ""
-
     # Ending early ---------------------------------------------------------------------------------------
 
     def _end_safely(self, end: FlightEnd) -> FlightResult:
@@ -552,8 +449,12 @@ class Flight:
         self._vehicle.commands.send(self._vehicle.adapter.mode(Intent.HOLD))
 
     def _put_parameters_back(self, result: FlightResult) -> None:
-        if self._restore and result.outcome is not Outcome.LINK_LOST and not self._vehicle.status.armed:
-            for name, value in reversed(self._restore):
+        if (
+            self._preflight.changed
+            and result.outcome is not Outcome.LINK_LOST
+            and not self._vehicle.status.armed
+        ):
+            for name, value, _ in reversed(self._preflight.changed):
                 self._vehicle.watch = lambda: None
                 if self._vehicle.set_parameter(name, value):
                     self._reporter.say(f"put {name} back to {value:g}")

@@ -9,13 +9,14 @@ import signal
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
 import numpy as np
 
+from companion.autopilot.adapter import Finding
 from companion.autopilot.thrust import ThrustScale, mixer_of
 from companion.config.settings import Settings
 from companion.control.law import ControlLaw
@@ -24,10 +25,13 @@ from companion.control.registry import build_law
 from companion.control.structs import Vector
 from companion.flight import realtime
 from companion.flight.control_loop import ControlLoop
-from companion.flight.flight import Flight, FlightRequest, FlightResult, Interrupts, Reporter
+from companion.flight.flight import Flight, FlightRequest, FlightResult, Interrupts
+from companion.flight.outcome import Refused
 from companion.flight.phases import Phase
 from companion.flight.plan import FlightPlan
+from companion.flight.preflight import Preflight
 from companion.flight.recorder import Recorder
+from companion.flight.reporter import Reporter
 from companion.flight.vehicle import Vehicle
 from companion.flightlog.writer import FlightLog
 from companion.mavlink.endpoint import Endpoint
@@ -94,13 +98,53 @@ def fly(settings: Settings, options: SessionOptions, reporter: Reporter) -> Flig
             def check_plan(plan: FlightPlan, ground_m: float) -> None:
                 _check_plan(settings, plan, ground_m)
 
+            preflight = _preflight(settings, vehicle, reporter)
             with _signals(Interrupts()) as interrupts:
                 flight = Flight(
-                    vehicle, request, settings.flight, recorder, reporter, interrupts, make_loop, check_plan
+                    vehicle,
+                    request,
+                    settings.flight,
+                    recorder,
+                    preflight,
+                    reporter,
+                    interrupts,
+                    make_loop,
+                    check_plan,
                 )
                 return flight.run()
     finally:
         link.close()
+
+
+def check(settings: Settings, endpoint: Endpoint, reporter: Reporter, fix: bool = False) -> list[Finding]:
+    """Look at everything a flight with these settings depends on; change nothing, unless `fix`.
+
+    Raises:
+        UserError: nobody there.
+        FlightEnd: the link broke off.
+    """
+    link = Link(open_transport(endpoint))
+    try:
+        vehicle = Vehicle(link, settings.flight.safety.silence_s)
+        vehicle.connect(settings.flight.procedure.connect_timeout_s)
+        version = ".".join(map(str, vehicle.version))
+        reporter.say(f"{vehicle.adapter.name} {version}, system {link.target_system}")
+        preflight = _preflight(settings, vehicle, reporter)
+        preflight.ask_for_streams()
+        findings = preflight.parameter_findings()
+        if fix:
+            findings = preflight.fix(findings)
+        with suppress(Refused):  # what is missing then is among the findings
+            preflight.wait_until_ready()
+        measured = preflight.measure()
+        return [*findings, *preflight.link_findings(measured), *preflight.vehicle_findings()]
+    finally:
+        link.close()
+
+
+def _preflight(settings: Settings, vehicle: Vehicle, reporter: Reporter) -> Preflight:
+    flight = settings.flight
+    return Preflight(vehicle, settings.level, flight.rate_hz, flight.procedure, settings.profile, reporter)
 
 
 def _control_loop(

@@ -157,6 +157,11 @@ class Vehicle:
         """A MAV_RESULT in words."""
         return "not answered" if result is None else RESULT_WORDS.get(result, f"result {result}")
 
+    def last_texts(self) -> str:
+        """The autopilot's last warnings, to be put behind a reason; empty when it gave none."""
+        texts = [text for severity, text in self.status.texts if severity <= mav.MAV_SEVERITY_WARNING]
+        return f"; it says: {' / '.join(texts[-3:])}" if texts else ""
+
     def read_parameters(self, names: tuple[str, ...]) -> None:
         """Read parameters into `parameters.values`; those the autopilot does not know stay absent."""
         for _ in range(3):

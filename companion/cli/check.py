@@ -1,0 +1,80 @@
+"""`companion check`: everything a flight depends on, as ok, warning or refusal, with what mends it.
+
+Changes nothing but message rates (the autopilot forgets them), unless --fix is given.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import Any
+
+from companion.config.errors import UserError
+
+EPILOG = """examples:
+  companion check --endpoint /dev/ttyACM0,921600 --profile my_drone.toml
+  companion check --endpoint tcp:127.0.0.1:5760 --profile arducopter_sitl --set flight.procedure.ready_timeout_s=5
+
+Exit codes: 0 nothing stands in the way (warnings may), 2 a flight would be refused, or wrong input.
+"""
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the command to `companion`."""
+    parser = subparsers.add_parser(
+        "check",
+        help="look at a vehicle before a flight",
+        description=__doc__,
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--endpoint", required=True, metavar="ADDRESS", help="the autopilot's address")
+    parser.add_argument("--level", default="attitude", choices=("attitude", "body_rate", "actuator"))
+    parser.add_argument("--profile", default="qball2", metavar="NAME|FILE", help="vehicle profile (TOML)")
+    parser.add_argument(
+        "--set", dest="overrides", action="append", default=[], metavar="KEY=VALUE", help="change a setting"
+    )
+    parser.add_argument("--fix", action="store_true", help="set parameters that stand in the way, for good")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of the table")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Check and print. Raises UserError for wrong input or an autopilot that is not there."""
+    from companion.autopilot.adapter import Verdict
+    from companion.cli.console import ConsoleReporter
+    from companion.config.settings import load_settings
+    from companion.flight.outcome import FlightEnd
+    from companion.flight.session import check
+    from companion.mavlink.endpoint import parse_endpoint
+
+    settings = load_settings(arguments.profile, {"level": arguments.level}, arguments.overrides)
+    reporter = ConsoleReporter()
+    try:
+        findings = check(settings, parse_endpoint(arguments.endpoint), reporter, arguments.fix)
+    except FlightEnd as end:
+        raise UserError(f"endpoint {arguments.endpoint}: {end}") from None
+    refused = any(finding.verdict is Verdict.REFUSAL for finding in findings)
+    if arguments.json:
+        rows = [
+            {
+                "verdict": f.verdict.value,
+                "subject": f.subject,
+                "found": f.found,
+                "why": f.why,
+                "remedy": f.remedy,
+            }
+            for f in findings
+        ]
+        print(json.dumps({"flyable": not refused, "findings": rows}, indent=2, ensure_ascii=False))
+        return 2 if refused else 0
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=f"level {arguments.level}, profile {settings.profile.name}", title_justify="left")
+    for heading in ("", "what", "found", "why it matters", "what mends it"):
+        table.add_column(heading, overflow="fold")
+    colours = {Verdict.OK: "green", Verdict.WARNING: "yellow", Verdict.REFUSAL: "bold red"}
+    for f in findings:
+        table.add_row(f"[{colours[f.verdict]}]{f.verdict.value}[/]", f.subject, f.found, f.why, f.remedy)
+    Console().print(table)
+    return 2 if refused else 0

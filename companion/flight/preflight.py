@@ -1,0 +1,255 @@
+"""Everything that is looked at before a flight, in one place: `companion check` shows it, `companion fly` acts on it.
+
+Nothing is changed but message rates, which the autopilot forgets at its next start; parameters only by `fix`.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+from companion.autopilot.adapter import Finding, Verdict
+from companion.config.procedure import Procedure
+from companion.config.profile import VehicleProfile
+from companion.control.structs import ControlLevel
+from companion.flight.outcome import Refused, WaitedTooLong
+from companion.flight.reporter import Reporter
+from companion.flight.vehicle import Vehicle
+from companion.mavlink.link import Message, mav
+from companion.mavlink.protocol import message_interval, request_message
+
+MEASURE_S = 1.0
+_SHARE_WARNED = 0.8  # of a stream's rate asked for
+_ROUND_TRIP_WARNED_S, _ROUND_TRIP_REFUSED_S = 0.05, 0.25
+_LOSS_WARNED, _LOSS_REFUSED = 0.01, 0.2
+_BATTERY_WARNED, _BATTERY_REFUSED = 0.4, 0.2
+_HOVER_MISMATCH = 0.25
+_POSITION_RATE_HZ = 100.0
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """What the link delivered while it was watched."""
+
+    state_rate_hz: float
+    position_rate_hz: float
+    round_trip_s: float  # nan where TIMESYNC was not answered
+    loss_ratio: float
+    steady_clock: bool  # the autopilot's clock runs as fast as ours: real time
+
+
+class Preflight:
+    """The checks of one vehicle for one level of control."""
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        level: ControlLevel,
+        rate_hz: float,
+        procedure: Procedure,
+        profile: VehicleProfile,
+        reporter: Reporter,
+    ) -> None:
+        self._vehicle = vehicle
+        self._level = level
+        self._rate_hz = rate_hz
+        self._procedure = procedure
+        self._profile = profile
+        self._reporter = reporter
+        self.changed: list[tuple[str, float, float]] = []  # name, value before, value set
+
+    def ask_for_streams(self) -> None:
+        """Ask for what a flight needs, and for what is good to have in its log."""
+        vehicle = self._vehicle
+        needed = {
+            mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED: min(self._rate_hz, _POSITION_RATE_HZ),
+            mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: self._rate_hz,
+        }
+        for message_id, rate in needed.items():
+            if not vehicle.ask_for_stream(message_id, rate):
+                self._reporter.say(
+                    f"the autopilot refused message {message_id} at {rate:g} Hz; using what it sends"
+                )
+        wished = {
+            mav.MAVLINK_MSG_ID_ATTITUDE_TARGET: 50.0,
+            mav.MAVLINK_MSG_ID_SYS_STATUS: 2.0,
+            mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
+            mav.MAVLINK_MSG_ID_CURRENT_MODE: 10.0,
+            vehicle.adapter.truth_message_id: 50.0,
+            vehicle.adapter.estimator_message_id: 2.0,
+        }
+        for message_id, rate in wished.items():
+            vehicle.command(message_interval(message_id, rate))  # a refusal is an answer too
+        vehicle.command(request_message(mav.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN))
+
+    def parameter_findings(self) -> list[Finding]:
+        """Read the parameters that matter and judge them."""
+        vehicle, profile = self._vehicle, self._profile
+        vehicle.read_parameters(vehicle.adapter.parameters_needed())
+        values = vehicle.parameters.values
+        findings = vehicle.adapter.check(values, self._level, vehicle.version)
+        hover = values.get(vehicle.adapter.hover_thrust_parameter)
+        if hover is not None and abs(hover / profile.hover_thrust - 1.0) > _HOVER_MISMATCH:
+            findings.append(
+                Finding(
+                    Verdict.WARNING,
+                    "hover thrust",
+                    f"{hover:.3f}, profile {profile.name!r} says {profile.hover_thrust:.3f}",
+                    "is this the profile of this vehicle? Thrust in newtons is scaled by the autopilot's value",
+                    "choose another --profile, or correct hover_thrust in it",
+                )
+            )
+        return findings
+
+    def fix(self, findings: list[Finding]) -> list[Finding]:
+        """Set what is safe to set, remember it in `changed`, and judge again."""
+        vehicle = self._vehicle
+        for finding in findings:
+            if finding.fix is None:
+                continue
+            name, value = finding.fix
+            before = vehicle.parameters.values[name]
+            if vehicle.set_parameter(name, value):
+                self.changed.append((name, before, value))
+                self._reporter.say(f"set {name} from {before:g} to {value:g} for this flight")
+        return self.parameter_findings()
+
+    def wait_until_ready(self) -> float:
+        """Wait until the autopilot can be armed and the state flows; return how long that took, its clock.
+
+        Raises:
+            Refused: it does not get ready; says what is missing, in the autopilot's words too.
+        """
+        vehicle, timeout_s = self._vehicle, self._procedure.ready_timeout_s
+        started_s = vehicle.link.autopilot_time_s
+        told: list[str] = []
+
+        def ready() -> bool:
+            nonlocal told
+            reasons = self.not_ready()
+            if reasons and reasons != told:
+                self._reporter.say("waiting: " + ", ".join(reasons))
+            told = reasons
+            return not reasons
+
+        try:
+            vehicle.until(ready, timeout_s, "getting ready")
+        except WaitedTooLong:
+            raise Refused(
+                f"not ready after {timeout_s:.0f} s: {', '.join(told)}{vehicle.last_texts()}"
+            ) from None
+        return vehicle.link.autopilot_time_s - started_s
+
+    def not_ready(self) -> list[str]:
+        """What is missing now; empty when nothing is."""
+        reasons = self._vehicle.adapter.not_ready(self._vehicle.status)
+        if self._vehicle.state is None:
+            reasons.append("no local position yet")
+        return reasons
+
+    def measure(self) -> Measured:
+        """Watch the link for a second of the autopilot's time. No setpoint goes out meanwhile."""
+        vehicle = self._vehicle
+        seen: Counter[int] = Counter()
+        on_state, on_message = vehicle.on_state, vehicle.on_message
+
+        def count(message: Message) -> None:
+            seen[message.get_msgId()] += 1
+            on_message(message)
+
+        vehicle.on_state, vehicle.on_message = lambda _: None, count
+        started_s = vehicle.link.autopilot_time_s
+        try:
+            vehicle.until(
+                lambda: vehicle.link.autopilot_time_s - started_s >= MEASURE_S, 5.0, "measuring streams"
+            )
+        except WaitedTooLong:
+            raise Refused("no time-stamped messages arrive; is this the autopilot's own link?") from None
+        finally:
+            vehicle.on_state, vehicle.on_message = on_state, on_message
+        span_s = vehicle.link.autopilot_time_s - started_s
+        return Measured(
+            seen[mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION] / span_s,
+            seen[mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED] / span_s,
+            vehicle.link.timesync.round_trip_s,
+            vehicle.link.loss_ratio,
+            vehicle.link.timesync.steady,
+        )
+
+    def link_findings(self, measured: Measured) -> list[Finding]:
+        """Judge what was measured, for this level."""
+        state_hz, wanted_hz, least_hz = measured.state_rate_hz, self._rate_hz, self._level.minimum_rate_hz
+        rate = _graded(
+            state_hz >= _SHARE_WARNED * wanted_hz,
+            state_hz >= least_hz,
+            "attitude stream",
+            f"{state_hz:.0f} Hz of {wanted_hz:.0f}",
+            f"level {self._level.value} needs {least_hz:.0f} Hz at least, and tracks better at {wanted_hz:.0f}",
+            "raise the link's rate (PX4: MAV_n_RATE; serial: baud rate), or fly a higher level",
+        )
+        position_hz = measured.position_rate_hz
+        position = _graded(
+            position_hz >= 0.5 * min(wanted_hz, _POSITION_RATE_HZ),
+            position_hz >= 5.0,
+            "position stream",
+            f"{position_hz:.0f} Hz",
+            "position is extrapolated by its velocity between messages",
+            "raise the link's rate",
+        )
+        trip_s = measured.round_trip_s
+        known = trip_s == trip_s
+        trip = _graded(
+            known and (trip_s < _ROUND_TRIP_WARNED_S or not measured.steady_clock),
+            not known or trip_s < _ROUND_TRIP_REFUSED_S,
+            "round trip",
+            f"{trip_s * 1e3:.1f} ms" if known else "TIMESYNC not answered",
+            "setpoints act late by it" if known else "the link's delay is not known",
+            "use a faster link" if known else "let the router between pass TIMESYNC (message 111)",
+        )
+        loss = _graded(
+            measured.loss_ratio < _LOSS_WARNED,
+            measured.loss_ratio < _LOSS_REFUSED,
+            "lost frames",
+            f"{measured.loss_ratio * 100:.2f} %",
+            "counted by sequence numbers since connecting",
+            "lower the rates, look at cable, antenna and baud rate",
+        )
+        return [rate, position, trip, loss]
+
+    def vehicle_findings(self) -> list[Finding]:
+        """Judge what the autopilot says of itself now: battery, estimator, pre-arm checks."""
+        status = self._vehicle.status
+        findings = []
+        if status.battery_remaining is not None:
+            findings.append(
+                _graded(
+                    status.battery_remaining >= _BATTERY_WARNED,
+                    status.battery_remaining >= _BATTERY_REFUSED,
+                    "battery",
+                    f"{status.battery_remaining * 100:.0f} %",
+                    "a flight ends with what is left",
+                    "charge it",
+                )
+            )
+        reasons = self.not_ready()
+        findings.append(
+            Finding(Verdict.OK, "readiness", "ready")
+            if not reasons
+            else Finding(
+                Verdict.REFUSAL, "readiness", ", ".join(reasons), "it would not arm", "wait, or mend it"
+            )
+        )
+        return findings
+
+
+def require(findings: list[Finding]) -> None:
+    """Raise Refused with every refusal among `findings`."""
+    refusals = [f for f in findings if f.verdict is Verdict.REFUSAL]
+    if refusals:
+        raise Refused("; ".join(f"{f.subject} {f.found}: {f.why}: {f.remedy}" for f in refusals))
+
+
+def _graded(good: bool, bearable: bool, subject: str, found: str, why: str, remedy: str) -> Finding:
+    if good:
+        return Finding(Verdict.OK, subject, found)
+    return Finding(Verdict.WARNING if bearable else Verdict.REFUSAL, subject, found, why, remedy)
