@@ -1,65 +1,100 @@
 """Cutting bytes into MAVLink frames, before anything is believed about them.
 
-Every frame is decoded on its own, and a UDP datagram never shares a buffer with the next one: with a
-shared buffer (pymavlink's default) a truncated datagram swallows the good one after it.
+A start byte is only believed when the frame behind it is: a candidate whose checksum turns out wrong is given back
+with `reject`, costs one byte, and the search goes on inside it. A UDP datagram never shares a buffer with the next
+one: with a shared buffer (pymavlink's default) a truncated datagram swallows the good one after it.
 """
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Container
+
 MAGIC_V1, MAGIC_V2 = 0xFE, 0xFD
 SIGNED_FLAG = 0x01
-LONGEST_FRAME = 280  # bytes: 10 header, 255 payload, 2 checksum, 13 signature
 
 
-def split_frames(data: bytes | bytearray) -> tuple[list[bytearray], int, int]:
-    """Cut `data` into frames by their length fields.
-
-    Returns:
-        The frames (whole ones only; their checksums are not looked at yet), how many bytes from the
-        start are used up (what follows is the beginning of a frame), and how many bytes belonged to no frame.
-    """
-    frames: list[bytearray] = []
-    position, skipped, end = 0, 0, len(data)
-    while position < end:
-        magic = data[position]
-        if magic not in (MAGIC_V1, MAGIC_V2):
-            position += 1
-            skipped += 1
-            continue
-        if position + 3 > end:
-            break
-        length = data[position + 1] + (8 if magic == MAGIC_V1 else 12)
-        if magic == MAGIC_V2 and data[position + 2] & SIGNED_FLAG:
-            length += 13
-        if position + length > end:
-            break
-        frames.append(bytearray(data[position : position + length]))
-        position += length
-    return frames, position, skipped
+def frame_length(data: bytes | bytearray, start: int) -> int | None:
+    """Length of the frame that may begin at `start`: 0 when none can, None when too few bytes are there to say."""
+    magic = data[start]
+    if magic == MAGIC_V1:
+        return data[start + 1] + 8 if start + 1 < len(data) else None
+    if magic != MAGIC_V2:
+        return 0
+    if start + 2 >= len(data):
+        return None
+    flags = data[start + 2]
+    if flags & ~SIGNED_FLAG:
+        return 0  # a frame with flags the receiver does not know has to be thrown away (MAVLink 2)
+    return data[start + 1] + (25 if flags & SIGNED_FLAG else 12)
 
 
-class StreamFramer:
-    """Frames out of a byte stream (TCP, serial), where one read may hold half a frame or several.
+def message_id(frame: bytes | bytearray) -> int:
+    """The message's number in a whole frame's header."""
+    return frame[5] if frame[0] == MAGIC_V1 else frame[7] | frame[8] << 8 | frame[9] << 16
 
-    A frame whose checksum turns out wrong is handed back by `reject`, so that a false start byte inside
-    noise costs one byte and not the good frame behind it.
+
+def sender(frame: bytes | bytearray) -> tuple[int, int, int]:
+    """Sequence number, system and component in a whole frame's header."""
+    sequence, system, component = frame[2:5] if frame[0] == MAGIC_V1 else frame[4:7]
+    return sequence, system, component
+
+
+class Framer:
+    """Candidates for frames, one at a time, out of datagrams or out of a stream.
+
+    The checksum of a message that is not `known` cannot be checked. It becomes a candidate when another start byte
+    follows it, or when it ends its datagram.
     """
 
-    def __init__(self) -> None:
-        self._rest = bytearray()
-        self.skipped_bytes = 0
+    def __init__(self, known: Container[int], stream: bool) -> None:
+        """`known`: numbers of the messages whose checksum can be checked. `stream`: one read may end inside a frame."""
+        self._known = known
+        self._stream = stream
+        self._data = bytearray()
+        self._chunks: deque[bytes] = deque()
+        self._position = 0
+        self._start = 0  # of the last candidate
+        self.stray_bytes = 0  # that belonged to no frame
 
-    def feed(self, data: bytes) -> list[bytearray]:
-        """Add bytes, return the frames that are now complete."""
-        self._rest += data
-        frames, used, skipped = split_frames(self._rest)
-        self.skipped_bytes += skipped
-        del self._rest[:used]
-        return frames
+    def feed(self, chunk: bytes) -> None:
+        """Take what one read or one datagram brought."""
+        if not self._stream:
+            self._chunks.append(chunk)
+            return
+        del self._data[: self._position]
+        self._position = 0
+        self._data += chunk
 
-    def reject(self, frame: bytearray) -> list[bytearray]:
-        """Search a frame that failed its checksum for frames hidden behind its first byte."""
-        frames, used, skipped = split_frames(frame[1:])
-        self.skipped_bytes += skipped + 1
-        self._rest[:0] = frame[1 + used :]
-        return frames
+    def next_frame(self) -> bytearray | None:
+        """The next candidate; None when there is no whole one."""
+        while True:
+            frame = self._search()
+            if frame is not None or not self._chunks:
+                return frame
+            self._data, self._position = bytearray(self._chunks.popleft()), 0
+
+    def reject(self) -> None:
+        """The last candidate was no frame: go on behind its first byte."""
+        self._position = self._start + 1
+        self.stray_bytes += 1
+
+    def _search(self) -> bytearray | None:
+        data, end = self._data, len(self._data)
+        while self._position < end:
+            start = self._position
+            length = frame_length(data, start)
+            whole = length is not None and start + length <= end
+            if not whole and self._stream:
+                return None
+            if whole and length:
+                frame, after = data[start : start + length], start + length
+                known = message_id(frame) in self._known
+                if not known and after == end and self._stream:
+                    return None  # the byte that will follow decides
+                if known or after == end or data[after] in (MAGIC_V1, MAGIC_V2):
+                    self._start, self._position = start, after
+                    return frame
+            self._position += 1
+            self.stray_bytes += 1
+        return None

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import os
 import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable
 from typing import Any, Protocol
 
 os.environ.setdefault("MAVLINK20", "1")
 from pymavlink.dialects.v20 import all as every_dialect  # CURRENT_MODE is in no smaller one
 
-from companion.mavlink.framing import StreamFramer, split_frames
+from companion.mavlink.framing import Framer, sender
 from companion.mavlink.timesync import TimeSync
 from companion.mavlink.transport import StreamTransport, UdpTransport
 
@@ -47,8 +47,7 @@ class Link:
         now_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self._transport = transport
-        self._frames: deque[bytearray] = deque()
-        self._framer = None if transport.datagrams else StreamFramer()
+        self._framer = Framer(mav.mavlink_map, stream=not transport.datagrams)
         self._codec = mav.MAVLink(None, srcSystem=1, srcComponent=OUR_COMPONENT)
         self._codec.robust_parsing = True
         self._tap = tap
@@ -104,18 +103,19 @@ class Link:
         Raises:
             ConnectionError: when a TCP or serial connection broke.
         """
-        if not self._frames and self._transport.wait(timeout_s):
+        message = self._next_believed()
+        if message is None and self._transport.wait(timeout_s):
             for chunk in self._transport.receive():
-                if self._framer is None:
-                    frames, used, skipped = split_frames(chunk)
-                    self.counters["stray bytes"] += skipped + len(chunk) - used
-                    self._frames.extend(frames)
-                else:
-                    self._frames.extend(self._framer.feed(chunk))
-        while self._frames:
-            message = self._believe(self._frames.popleft())
+                self._framer.feed(chunk)
+            message = self._next_believed()
+        return message
+
+    def _next_believed(self) -> Message | None:
+        while (frame := self._framer.next_frame()) is not None:
+            message = self._believe(frame)
             if message is not None:
                 return message
+        self.counters["stray bytes"] = self._framer.stray_bytes
         return None
 
     def _believe(self, frame: bytearray) -> Message | None:
@@ -124,11 +124,10 @@ class Link:
             message = self._codec.decode(frame)
         except mav.MAVError:
             self.counters["bad frames"] += 1
-            if self._framer is not None:
-                self._frames.extendleft(reversed(self._framer.reject(frame)))
+            self._framer.reject()
             return None
         if message.get_msgId() < 0:
-            self.counters["unknown messages"] += 1
+            self._note_unknown(frame)
             return None
         if not self._is_our_autopilot(message):
             self.counters["other senders"] += 1
@@ -144,6 +143,15 @@ class Link:
         if message.get_msgId() == mav.MAVLINK_MSG_ID_HEARTBEAT:
             self.heartbeat = message
         return message
+
+    def _note_unknown(self, frame: bytearray) -> None:
+        """A message newer than our dialect: counted and logged, not understood."""
+        self.counters["unknown messages"] += 1
+        sequence, system, component = sender(frame)
+        if (system, component) == (self.target_system, AUTOPILOT_COMPONENT):
+            self._count_loss(sequence)
+            if self._tap is not None:
+                self._tap(False, self._boot_time_s, bytes(frame))
 
     def _is_our_autopilot(self, message: Message) -> bool:
         system, component = message.get_srcSystem(), message.get_srcComponent()
@@ -164,8 +172,9 @@ class Link:
         self.counters["received"] += 1
         if self._expected_sequence is not None:
             gap = (sequence - self._expected_sequence) % 256
-            if gap < 128:  # more is a frame that came late or twice, not 128 lost ones
-                self.counters["lost"] += gap
+            if gap >= 128:
+                return  # a frame that came late or twice, not 128 lost ones; the expected one still is
+            self.counters["lost"] += gap
         self._expected_sequence = (sequence + 1) % 256
 
     def _note_time(self, message: Message) -> None:
