@@ -91,8 +91,10 @@ def parse_endpoint(text: str) -> Endpoint:
 
 def _serial(text: str, rest: str) -> Endpoint:
     device, _, baud = rest.partition(",")
-    if not baud and (match := re.fullmatch(r"(.+):(\d+)", rest)):
+    if not baud and (match := re.fullmatch(r"(.*):(\d+)", rest)):
         device, baud = match.groups()
+    if not device.strip(":/"):
+        raise UserError(f"endpoint {text!r}: names no device; use for example /dev/ttyACM0,921600")
     return Endpoint(
         EndpointKind.SERIAL, device, _number(text, baud, "baud rate", 20_000_000) if baud else DEFAULT_BAUD
     )
