@@ -1,0 +1,329 @@
+"""The link: whom it believes, what it counts, what it answers, and that no bytes can upset it."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+from mavlink_wire import (
+    Clock,
+    MemoryTransport,
+    Sender,
+    all_messages,
+    attitude,
+    decoded,
+    heartbeat,
+    link_over,
+    local_position,
+    mav,
+)
+
+from companion.autopilot.adapter import VehicleStatus
+from companion.mavlink.link import Link
+from companion.mavlink.protocol import CommandClient, ParameterClient
+from companion.mavlink.state import StateAssembler
+
+GROUND_STATION = mav.MAVLink_heartbeat_message(
+    mav.MAV_TYPE_GCS, mav.MAV_AUTOPILOT_INVALID, 0, 0, mav.MAV_STATE_ACTIVE, 3
+)
+
+
+@pytest.fixture
+def wire():
+    """A transport, the link over it, its clock, and an autopilot with system 1."""
+    transport, clock = MemoryTransport(), Clock()
+    return transport, link_over(transport, clock), clock, Sender()
+
+
+def kinds(messages):
+    return [message.get_type() for message in messages]
+
+
+# Whom it believes ---------------------------------------------------------------------------------------
+
+
+def test_nothing_is_believed_before_an_autopilot_heartbeat(wire):
+    transport, link, _, autopilot = wire
+    transport.waiting.append(autopilot.frame(attitude(10)))
+    transport.waiting.append(autopilot.frame(heartbeat()))
+    transport.waiting.append(autopilot.frame(attitude(20)))
+    assert kinds(all_messages(link)) == ["HEARTBEAT", "ATTITUDE_QUATERNION"]
+    assert link.target_system == 1
+    assert link.autopilot_time_s == 0.02
+
+
+@pytest.mark.parametrize(
+    ("system", "component", "message"),
+    [
+        (255, 190, GROUND_STATION),
+        (1, 1, GROUND_STATION),  # a ground station that took an autopilot's numbers
+        (1, 154, heartbeat(mav.MAV_AUTOPILOT_PX4, mav.MAV_TYPE_GIMBAL)),
+        (1, 191, heartbeat(mav.MAV_AUTOPILOT_INVALID, mav.MAV_TYPE_ONBOARD_CONTROLLER)),
+    ],
+)
+def test_who_is_no_autopilot_is_not_locked_on_to(wire, system, component, message):
+    transport, link, _, autopilot = wire
+    transport.waiting.append(Sender(system, component).frame(message))
+    assert all_messages(link) == []
+    assert link.target_system is None
+    assert link.counters["other senders"] == 1
+    transport.waiting.append(autopilot.frame(heartbeat()))
+    assert kinds(all_messages(link)) == ["HEARTBEAT"]
+
+
+def test_locks_on_to_the_first_and_ignores_everybody_else(wire):
+    transport, link, _, _ = wire
+    first, second, gimbal = Sender(system=7), Sender(system=1), Sender(system=7, component=154)
+    transport.waiting.append(first.frame(heartbeat()))
+    transport.waiting.append(second.frame(heartbeat(custom_mode=99)))
+    transport.waiting.append(second.frame(attitude(5000)))
+    transport.waiting.append(gimbal.frame(attitude(6000)))
+    transport.waiting.append(first.frame(attitude(40)))
+    messages = all_messages(link)
+    assert [(m.get_type(), m.get_srcSystem()) for m in messages] == [
+        ("HEARTBEAT", 7),
+        ("ATTITUDE_QUATERNION", 7),
+    ]
+    assert link.heartbeat.custom_mode == 0
+    assert link.autopilot_time_s == 0.04
+    assert link.counters["other senders"] == 3
+    assert link.counters["lost"] == 0
+
+
+def test_speaks_as_a_component_of_the_vehicle(wire):
+    transport, link, _, _ = wire
+    transport.waiting.append(Sender(system=7).frame(heartbeat()))
+    all_messages(link)
+    link.keep_alive()
+    ours = decoded(transport.sent)
+    assert {(m.get_srcSystem(), m.get_srcComponent()) for m in ours} == {(7, 191)}
+    alive = next(m for m in ours if m.get_type() == "HEARTBEAT")
+    assert alive.type == mav.MAV_TYPE_ONBOARD_CONTROLLER
+    assert alive.autopilot == mav.MAV_AUTOPILOT_INVALID
+
+
+# What it counts -----------------------------------------------------------------------------------------
+
+
+def arrivals(wire, sequences):
+    """Loss counted when frames with these sequence numbers arrive."""
+    transport, link, _, autopilot = wire
+    for sequence in sequences:
+        autopilot.codec.seq = sequence % 256
+        transport.waiting.append(autopilot.frame(heartbeat()))
+    all_messages(link)
+    return link.counters["lost"]
+
+
+@pytest.mark.parametrize(
+    ("sequences", "lost"),
+    [
+        (range(250, 262), 0),  # over the wrap
+        ([1, 2, 5, 6], 2),
+        ([254, 1], 2),  # 255 and 0
+        ([10, 12, 11, 13, 14], 1),  # 11 came late: it was missed once, and nothing after it
+        ([10, 11, 11, 12], 0),  # twice
+        ([200, 0, 1, 2], 55),  # 201 to 255
+        ([100, 0, 1, 2], 0),  # begins again: not 155 lost ones
+    ],
+)
+def test_loss_is_counted_by_sequence_numbers(wire, sequences, lost):
+    assert arrivals(wire, sequences) == lost
+
+
+def test_loss_ratio_is_lost_by_all(wire):
+    arrivals(wire, [0, 1, 2, 4])
+    assert wire[1].loss_ratio == 1 / 5
+
+
+def test_unknown_messages_are_not_lost_ones_and_are_logged(wire):
+    transport, link, _, autopilot = wire
+    tapped = []
+    link.tap = lambda outgoing, time_s, frame: tapped.append((outgoing, frame))
+    payload = b"abc"
+    unknown = bytes([0xFD, len(payload), 0, 0, 1, 1, 1, 410 & 0xFF, 410 >> 8, 0]) + payload + b"\x12\x34"
+    stranger = unknown[:5] + b"\x09" + unknown[6:]  # of system 9
+    transport.waiting.append(autopilot.frame(heartbeat()))
+    transport.waiting.append(unknown)
+    transport.waiting.append(stranger)
+    autopilot.skip(1)
+    transport.waiting.append(autopilot.frame(heartbeat()))
+    assert kinds(all_messages(link)) == ["HEARTBEAT", "HEARTBEAT"]
+    assert link.counters["lost"] == 0
+    assert link.counters["unknown messages"] == 2
+    assert [frame for _, frame in tapped].count(unknown) == 1
+    assert stranger not in [frame for _, frame in tapped]
+
+
+def test_reboot_is_noticed_and_small_steps_back_are_not_one(wire):
+    transport, link, _, autopilot = wire
+    for time_ms in (60_000, 60_010, 59_990, 60_020):  # streams are stamped when sampled
+        transport.waiting.append(autopilot.frame(local_position(time_ms)))
+    transport.waiting.appendleft(autopilot.frame(heartbeat()))
+    all_messages(link)
+    assert link.counters["reboots"] == 0
+    assert link.autopilot_time_s == 60.02
+    transport.waiting.append(autopilot.frame(local_position(1500)))
+    all_messages(link)
+    assert link.counters["reboots"] == 1
+    assert link.autopilot_time_s == 1.5
+
+
+def test_silence_is_of_the_autopilot_not_of_the_wire(wire):
+    transport, link, clock, autopilot = wire
+    assert link.silence_s == float("inf")
+    transport.waiting.append(autopilot.frame(heartbeat()))
+    all_messages(link)
+    clock.advance(2.5)
+    transport.waiting.append(Sender(255, 190).frame(GROUND_STATION))
+    transport.waiting.append(b"noise")
+    all_messages(link)
+    assert link.silence_s == pytest.approx(2.5)
+    assert link.counters["stray bytes"] == 5
+
+
+def test_bad_checksums_are_counted_and_dropped(wire):
+    transport, link, _, autopilot = wire
+    good = autopilot.frame(heartbeat())
+    bad = bytearray(autopilot.frame(attitude(10)))
+    bad[12] ^= 1
+    transport.waiting.extend([good, bytes(bad), autopilot.frame(attitude(20))])
+    assert kinds(all_messages(link)) == ["HEARTBEAT", "ATTITUDE_QUATERNION"]
+    assert link.counters["bad frames"] == 1
+
+
+# What it answers ----------------------------------------------------------------------------------------
+
+
+def test_timesync_question_is_answered_in_its_turn(wire):
+    """The caller gets the question after all that came before it; the answer carries the question's time back."""
+    transport, link, clock, autopilot = wire
+    transport.waiting.append(autopilot.frame(heartbeat()))
+    transport.waiting.append(autopilot.frame(attitude(10)))
+    transport.waiting.append(autopilot.frame(mav.MAVLink_timesync_message(0, 123_456_789)))
+    transport.waiting.append(autopilot.frame(attitude(20)))
+    messages = all_messages(link)
+    assert kinds(messages) == ["HEARTBEAT", "ATTITUDE_QUATERNION", "TIMESYNC", "ATTITUDE_QUATERNION"]
+    assert transport.sent == []
+    link.answer_timesync(messages[2])
+    (answer,) = decoded(transport.sent)
+    assert (answer.get_type(), answer.tc1, answer.ts1) == ("TIMESYNC", clock.ns, 123_456_789)
+
+
+def test_timesync_answer_becomes_the_offset(wire):
+    transport, link, clock, autopilot = wire
+    transport.waiting.append(autopilot.frame(heartbeat()))
+    all_messages(link)
+    asked_ns = clock.ns
+    clock.advance(0.004)
+    autopilot_ns = asked_ns + 2_000_000 + 50_000_000_000  # half-way, 50 s ahead of us
+    transport.waiting.append(autopilot.frame(mav.MAVLink_timesync_message(autopilot_ns, asked_ns)))
+    assert all_messages(link) == []
+    assert link.timesync.offset_s == pytest.approx(50.0, abs=1e-9)
+    assert link.timesync.round_trip_s == pytest.approx(0.004)
+
+
+def test_heartbeat_at_1_hz_of_the_autopilots_time(wire):
+    """A simulation at ten times real time gets ten heartbeats in a second of ours."""
+    transport, link, clock, autopilot = wire
+    transport.waiting.append(autopilot.frame(heartbeat()))
+    for index in range(1, 1001):
+        clock.advance(0.001)
+        transport.waiting.append(autopilot.frame(attitude(10 * index)))
+        all_messages(link)
+        link.keep_alive()
+    ours = kinds(decoded(transport.sent))
+    assert ours.count("HEARTBEAT") in (10, 11)
+    assert ours.count("TIMESYNC") in range(90, 102)
+
+
+def test_heartbeat_at_1_hz_of_ours_while_nobody_speaks(wire):
+    transport, link, clock, _ = wire
+    for _ in range(100):
+        clock.advance(0.05)
+        link.keep_alive()
+    assert kinds(decoded(transport.sent)).count("HEARTBEAT") in (5, 6)
+    assert "TIMESYNC" not in kinds(decoded(transport.sent))
+
+
+def test_what_could_not_be_sent_is_counted_and_not_logged(wire):
+    transport, link, _, _ = wire
+    tapped = []
+    link.tap = lambda outgoing, time_s, frame: tapped.append(frame)
+    transport.takes = False
+    assert not link.send(heartbeat())
+    transport.takes = True
+    assert link.send(heartbeat())
+    assert (link.counters["unsent"], link.counters["sent"], len(tapped)) == (1, 1, 1)
+
+
+# Nothing upsets it --------------------------------------------------------------------------------------
+
+
+def corpus(draw):
+    """One frame of each message of the dialect, its payload drawn."""
+    frames = []
+    for number, kind in mav.mavlink_map.items():
+        payload = draw.randbytes(kind.unpacker.size)
+        header = bytes([0xFD, len(payload), 0, 0, 0, 1, 1]) + number.to_bytes(3, "little")
+        frames.append(repaired(bytearray(header + payload + b"\0\0")))
+    return frames
+
+
+def repaired(frame):
+    """The frame with a right checksum, so that its contents are believed."""
+    kind = mav.mavlink_map.get(frame[7] | frame[8] << 8 | frame[9] << 16)
+    if kind is None or len(frame) != frame[1] + 12:
+        return frame
+    checksum = mav.x25crc(frame[1:-2] + bytes([kind.crc_extra])).crc
+    return frame[:-2] + checksum.to_bytes(2, "little")
+
+
+@pytest.mark.parametrize("datagrams", [True, False], ids=["datagrams", "stream"])
+def test_mutated_frames_never_raise(datagrams):
+    """50,000 damaged frames each way, half of them with a checksum that is right for their nonsense."""
+    draw = random.Random(20261122)
+    transport = MemoryTransport(datagrams)
+    link = Link(transport, now_ns=Clock())
+    status, assembler = VehicleStatus(), StateAssembler()
+    commands, parameters = CommandClient(link), ParameterClient(link)
+    parameters.bytewise = True
+    frames = corpus(draw)
+    interesting = [frame for frame in frames if (frame[7] | frame[8] << 8) in TAKEN_IN_FLIGHT]
+    transport.waiting.append(Sender().frame(heartbeat()))
+    heard = 0
+    for index in range(50_000):
+        frame = bytearray(draw.choice(interesting if index % 2 else frames))
+        for _ in range(draw.randrange(4)):
+            frame[draw.randrange(10 if index % 5 else 0, len(frame))] = draw.choice(
+                (0, 255, draw.randrange(256))
+            )
+        if draw.random() < 0.5:
+            frame = repaired(frame)
+        if draw.random() < 0.05:
+            frame = frame[: draw.randrange(len(frame))]
+        transport.waiting.append(bytes(frame))
+        while (message := link.receive(0.0)) is not None:
+            heard += 1
+            status.take(message)
+            commands.take(message)
+            parameters.take(message)
+            assembler.take(message)
+    assert heard > 20_000
+    assert link.counters["bad frames"] > 5_000
+    assert link.target_system == 1
+
+
+TAKEN_IN_FLIGHT = {
+    mav.MAVLINK_MSG_ID_HEARTBEAT,
+    mav.MAVLINK_MSG_ID_SYS_STATUS,
+    mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION,
+    mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+    mav.MAVLINK_MSG_ID_COMMAND_ACK,
+    mav.MAVLINK_MSG_ID_PARAM_VALUE,
+    mav.MAVLINK_MSG_ID_STATUSTEXT,
+    mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
+    mav.MAVLINK_MSG_ID_ESTIMATOR_STATUS,
+    mav.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
+    mav.MAVLINK_MSG_ID_TIMESYNC,
+}
