@@ -9,6 +9,7 @@ import argparse
 import json
 from typing import Any
 
+from companion.cli.fly import add_link_options, connection_from
 from companion.config.errors import UserError
 
 EPILOG = """examples:
@@ -29,6 +30,7 @@ def add_parser(subparsers: Any) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--endpoint", required=True, metavar="ADDRESS", help="the autopilot's address")
+    add_link_options(parser)
     parser.add_argument("--level", default="attitude", choices=("attitude", "body_rate", "actuator"))
     parser.add_argument("--profile", default="qball2", metavar="NAME|FILE", help="vehicle profile (TOML)")
     parser.add_argument(
@@ -45,12 +47,11 @@ def run(arguments: argparse.Namespace) -> int:
     from companion.config.settings import load_settings
     from companion.flight.outcome import FlightEnd
     from companion.flight.session import check
-    from companion.mavlink.endpoint import parse_endpoint
 
     settings = load_settings(arguments.profile, {"level": arguments.level}, arguments.overrides)
     reporter = ConsoleReporter()
     try:
-        findings = check(settings, parse_endpoint(arguments.endpoint), reporter, arguments.fix)
+        findings = check(settings, connection_from(arguments, arguments.endpoint), reporter, arguments.fix)
     except FlightEnd as end:
         raise UserError(f"endpoint {arguments.endpoint}: {end}") from None
     refused = any(finding.verdict is Verdict.REFUSAL for finding in findings)

@@ -9,9 +9,12 @@ import shlex
 import sys
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from companion.config.errors import UserError
+
+if TYPE_CHECKING:
+    from companion.mavlink.connection import Connection
 
 EPILOG = """examples:
   companion fly --sitl px4                                     the bundled stub, as fast as it goes
@@ -59,6 +62,7 @@ def add_flight_options(parser: argparse.ArgumentParser, required: bool = True) -
     where.add_argument(
         "--sitl", metavar="FIRMWARE", help="start the bundled stub: px4, px4-1.13 or ardupilot"
     )
+    add_link_options(parser)
     parser.add_argument(
         "--sitl-options", default="", metavar="WORDS", help="further options of sitl-stub, in quotes"
     )
@@ -93,6 +97,25 @@ def add_flight_options(parser: argparse.ArgumentParser, required: bool = True) -
     )
 
 
+def add_link_options(parser: argparse.ArgumentParser) -> None:
+    """Options on how the endpoint is spoken to; `fly`, `compare` and `check` share them."""
+    parser.add_argument(
+        "--link", default="pymavlink", choices=("pymavlink", "mavsdk"), help="what carries the bytes"
+    )
+    parser.add_argument(
+        "--signing-key", metavar="FILE", help="sign with this key, believe nothing else (docs/links.md)"
+    )
+
+
+def connection_from(arguments: argparse.Namespace, address: str) -> Connection:
+    """How to reach the autopilot at `address`. Raises UserError for a wrong address."""
+    from companion.mavlink.connection import Connection, LinkLibrary
+    from companion.mavlink.endpoint import parse_endpoint
+
+    key = Path(arguments.signing_key) if arguments.signing_key else None
+    return Connection(parse_endpoint(address), LinkLibrary(arguments.link), key)
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Fly once. Raises UserError for wrong input."""
     log_path = (
@@ -121,7 +144,6 @@ def fly_once(
     from companion.cli.sitl import FIRMWARES, running_stub
     from companion.config.settings import load_settings
     from companion.flight.session import SessionOptions, fly
-    from companion.mavlink.endpoint import parse_endpoint
 
     settings = load_settings(
         arguments.profile,
@@ -144,7 +166,7 @@ def fly_once(
     )
     with simulator as address:
         options = SessionOptions(
-            endpoint=parse_endpoint(address),
+            connection=connection_from(arguments, address),
             log_path=log_path,
             overwrite=overwrite,
             may_arm=arguments.arm,

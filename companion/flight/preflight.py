@@ -214,7 +214,24 @@ class Preflight:
             "counted by sequence numbers since connecting",
             "lower the rates, look at cable, antenna and baud rate",
         )
-        return [rate, position, trip, loss]
+        return [rate, position, trip, loss, *self._signing_findings()]
+
+    def _signing_findings(self) -> list[Finding]:
+        link = self._vehicle.link
+        if link.signer is None:
+            return []
+        refused = sum(link.refused.values())
+        return [
+            _graded(
+                not refused,
+                True,
+                "signing",
+                f"on, {refused} frames refused" if refused else "on",
+                "somebody else speaks on this link: "
+                + ", ".join(f"{count} frames {how}" for how, count in link.refused.items()),
+                "find out who; they are not believed",
+            )
+        ]
 
     def vehicle_findings(self) -> list[Finding]:
         """Judge what the autopilot says of itself now: battery, estimator, pre-arm checks."""

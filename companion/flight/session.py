@@ -8,7 +8,7 @@ import platform
 import signal
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,9 +34,7 @@ from companion.flight.recorder import Recorder
 from companion.flight.reporter import Reporter
 from companion.flight.vehicle import Vehicle
 from companion.flightlog.writer import FlightLog
-from companion.mavlink.endpoint import Endpoint
-from companion.mavlink.link import Link
-from companion.mavlink.transport import open_transport
+from companion.mavlink.connection import Connection
 from companion.reference.feasibility import VehicleLimits, check_feasibility
 from companion.reference.registry import trajectory_from_text
 from companion.reference.trajectory import Frame
@@ -48,7 +46,7 @@ _PACKAGES = ("dtlannc-companion", "numpy", "numba", "pymavlink", "mcap")
 class SessionOptions:
     """What a flight needs beside its settings."""
 
-    endpoint: Endpoint
+    connection: Connection
     log_path: Path
     overwrite: bool = False
     may_arm: bool = False
@@ -68,8 +66,7 @@ def fly(settings: Settings, options: SessionOptions, reporter: Reporter) -> Flig
     Predictor(settings.profile, settings.level)
     for line in realtime.prepare():
         reporter.say(line)
-    transport = open_transport(options.endpoint)
-    link = Link(transport)
+    link = options.connection.open(reporter.say)
     try:
         with FlightLog(
             options.log_path,
@@ -78,10 +75,11 @@ def fly(settings: Settings, options: SessionOptions, reporter: Reporter) -> Flig
             overwrite=options.overwrite,
         ) as log:
             log.metadata("versions", _versions())
-            log.metadata("wall", {"endpoint": str(options.endpoint), "command": options.command_line})
+            log.metadata("wall", _wall(options))
             recorder = Recorder(log)
             link.tap = recorder.frame
             vehicle = Vehicle(link, settings.flight.safety.silence_s)
+            vehicle.on_notice = _notices(vehicle, recorder, reporter)
             request = FlightRequest(
                 level=settings.level,
                 trajectory=trajectory,
@@ -116,14 +114,14 @@ def fly(settings: Settings, options: SessionOptions, reporter: Reporter) -> Flig
         link.close()
 
 
-def check(settings: Settings, endpoint: Endpoint, reporter: Reporter, fix: bool = False) -> list[Finding]:
+def check(settings: Settings, connection: Connection, reporter: Reporter, fix: bool = False) -> list[Finding]:
     """Look at everything a flight with these settings depends on; change nothing, unless `fix`.
 
     Raises:
         UserError: nobody there.
         FlightEnd: the link broke off.
     """
-    link = Link(open_transport(endpoint))
+    link = connection.open(reporter.say)
     try:
         vehicle = Vehicle(link, settings.flight.safety.silence_s)
         vehicle.connect(settings.flight.procedure.connect_timeout_s)
@@ -224,6 +222,23 @@ def _signals(interrupts: Interrupts) -> Iterator[Interrupts]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _wall(options: SessionOptions) -> dict[str, str]:
+    """What of this flight is this run's, not the vehicle's."""
+    return {
+        "endpoint": str(options.connection.endpoint),
+        "link": options.connection.library.value,
+        "command": options.command_line,
+    }
+
+
+def _notices(vehicle: Vehicle, recorder: Recorder, reporter: Reporter) -> Callable[[str], None]:
+    def tell(text: str) -> None:
+        reporter.say(text)
+        recorder.log.event("link", vehicle.link.autopilot_time_s, text=text)
+
+    return tell
 
 
 def _versions() -> dict[str, str]:

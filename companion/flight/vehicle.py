@@ -47,6 +47,7 @@ class Vehicle:
         self.on_state: Callable[[VehicleState], None] = lambda _: None
         self.on_message: Callable[[Message], None] = lambda _: None
         self.watch: Callable[[], None] = lambda: None
+        self.on_notice: Callable[[str], None] = lambda _: None
 
     # Waiting ----------------------------------------------------------------------------------------
 
@@ -67,6 +68,7 @@ class Vehicle:
                 raise WaitedTooLong(f"{what or 'the autopilot'}: nothing after {timeout_s:.0f} s")
             message = self.link.receive(POLL_S)
             if message is None:
+                self._pass_notices()
                 self.link.keep_alive()
                 if self.link.silence_s > self.silence_limit_s:
                     raise LinkLost(f"nothing heard from the autopilot for {self.silence_limit_s:.1f} s")
@@ -75,6 +77,10 @@ class Vehicle:
             started_s = started_s or self.link.autopilot_time_s  # 0 until the first time stamp
             if self.link.autopilot_time_s - started_s > timeout_s:
                 raise WaitedTooLong(f"{what or 'the autopilot'}: nothing after {timeout_s:.0f} s")
+
+    def _pass_notices(self) -> None:
+        for text in self.link.take_notices():
+            self.on_notice(text)
 
     def _handle(self, message: Message) -> None:
         if message.get_msgId() == mav.MAVLINK_MSG_ID_TIMESYNC:
@@ -101,6 +107,7 @@ class Vehicle:
         deadline = time.monotonic() + timeout_s
         while self.link.heartbeat is None:
             self.watch()
+            self._pass_notices()
             self.link.keep_alive()
             message = self.link.receive(POLL_S)
             if message is not None:
@@ -128,10 +135,21 @@ class Vehicle:
         if answered:
             number = answered[0].flight_sw_version
             self.version = (number >> 24 & 0xFF, number >> 16 & 0xFF, number >> 8 & 0xFF)
+        elif self.link.counters["signed, and we have no key"]:
+            raise UserError(
+                "the autopilot signs its messages and answers nothing that is not signed: give --signing-key FILE"
+            )
 
     def _why_nobody(self, timeout_s: float) -> str:
         counters = self.link.counters
-        if counters["bad frames"] or counters["stray bytes"]:
+        refused = self.link.refused
+        if refused:
+            heard = (
+                f"{sum(refused.values())} frames refused: not signed with this key "
+                f"({', '.join(f'{count} {reason}' for reason, count in refused.items())}); "
+                "is this the autopilot's key, and is signing on there?"
+            )
+        elif counters["bad frames"] or counters["stray bytes"]:
             heard = "bytes arrived, but no valid MAVLink: wrong baud rate, or another program's port?"
         elif counters["other senders"]:
             heard = "MAVLink arrived, but no autopilot (component 1): is this a ground station's or a gimbal's port?"

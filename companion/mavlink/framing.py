@@ -40,6 +40,11 @@ def sender(frame: bytes | bytearray) -> tuple[int, int, int]:
     return sequence, system, component
 
 
+def is_signed(frame: bytes | bytearray) -> bool:
+    """Whether a whole frame ends with a signature (MAVLink 2 only)."""
+    return frame[0] == MAGIC_V2 and bool(frame[2] & SIGNED_FLAG)
+
+
 class Framer:
     """Candidates for frames, one at a time, out of datagrams or out of a stream.
 

@@ -16,9 +16,10 @@ from typing import Any, Protocol
 os.environ.setdefault("MAVLINK20", "1")
 from pymavlink.dialects.v20 import all as every_dialect  # CURRENT_MODE is in no smaller one
 
-from companion.mavlink.framing import Framer, sender
+from companion.mavlink.framing import Framer, is_signed, sender
+from companion.mavlink.signing import FORGED, REPLAYED, UNSIGNED, Signer
 from companion.mavlink.timesync import TimeSync
-from companion.mavlink.transport import StreamTransport, UdpTransport
+from companion.mavlink.transport import Transport
 
 mav: Any = every_dialect
 Message = Any  # a message object of the pymavlink dialect; its fields are MAVLink's
@@ -42,14 +43,18 @@ class Link:
 
     def __init__(
         self,
-        transport: UdpTransport | StreamTransport,
+        transport: Transport,
         tap: FrameTap | None = None,
         now_ns: Callable[[], int] = time.monotonic_ns,
+        signer: Signer | None = None,
     ) -> None:
+        """Speak over `transport`; with a `signer` everything is signed and nothing unsigned is believed."""
         self._transport = transport
+        self.signer = signer
         self._framer = Framer(mav.mavlink_map, stream=not transport.datagrams)
         self._codec = mav.MAVLink(None, srcSystem=1, srcComponent=OUR_COMPONENT)
-        self._codec.robust_parsing = True
+        self._decoder = mav.MAVLink(None)  # knows no key: signatures are judged by the signer
+        self._decoder.robust_parsing = True
         self._tap = tap
         self._now_ns = now_ns
         self._last_heartbeat_ns = 0
@@ -94,14 +99,17 @@ class Link:
         total = self.counters["received"] + self.counters["lost"]
         return self.counters["lost"] / total if total else 0.0
 
+    @property
+    def refused(self) -> dict[str, int]:
+        """How many frames were refused for their signature, by reason in a few words."""
+        words = {UNSIGNED: "without a signature", FORGED: "with a wrong one", REPLAYED: "replayed"}
+        return {text: self.counters[reason] for reason, text in words.items() if self.counters[reason]}
+
     def receive(self, timeout_s: float) -> Message | None:
         """The autopilot's next message, waiting at most `timeout_s` for it; None when there is none.
 
         One at a time, and nothing is believed of a frame before its turn: `autopilot_time_s` and the log then do
         not depend on how many frames happened to arrive together.
-
-        Raises:
-            ConnectionError: when a TCP or serial connection broke.
         """
         message = self._next_believed()
         if message is None and self._transport.wait(timeout_s):
@@ -121,10 +129,12 @@ class Link:
     def _believe(self, frame: bytearray) -> Message | None:
         """Decode one frame; None for what is damaged, unknown, not our autopilot's, or answered here."""
         try:
-            message = self._codec.decode(frame)
+            message = self._decoder.decode(frame)
         except mav.MAVError:
             self.counters["bad frames"] += 1
             self._framer.reject()
+            return None
+        if not self._signature_holds(frame):
             return None
         if message.get_msgId() < 0:
             self._note_unknown(frame)
@@ -143,6 +153,19 @@ class Link:
         if message.get_msgId() == mav.MAVLINK_MSG_ID_HEARTBEAT:
             self.heartbeat = message
         return message
+
+    def _signature_holds(self, frame: bytearray) -> bool:
+        if self.signer is None:
+            if is_signed(frame):
+                self.counters["signed, and we have no key"] += 1
+            return True
+        refusal = self.signer.judge(frame)
+        if refusal is None:
+            return True
+        self.counters[refusal] += 1
+        if refusal == REPLAYED and self.target_system is None:
+            self._transport.greet_sender()  # an autopilot whose clock is behind takes our time from our frames
+        return False
 
     def _note_unknown(self, frame: bytearray) -> None:
         """A message newer than our dialect: counted and logged, not understood."""
@@ -164,9 +187,10 @@ class Link:
                 return False
             self.target_system = system
             self._codec.srcSystem = system
-            if isinstance(self._transport, UdpTransport):
-                self._transport.believe_sender()
-        return bool(system == self.target_system and component == AUTOPILOT_COMPONENT)
+        if system != self.target_system or component != AUTOPILOT_COMPONENT:
+            return False
+        self._transport.believe_sender()
+        return True
 
     def _count_loss(self, sequence: int) -> None:
         self.counters["received"] += 1
@@ -198,6 +222,8 @@ class Link:
 
     def send(self, message: Message) -> bool:
         """Pack and send one message; False when it could not go out now (counted)."""
+        if self.signer is not None:
+            self.signer.prepare(self._codec)
         frame = message.pack(self._codec)
         self._codec.seq = (self._codec.seq + 1) % 256
         sent = self._transport.send(frame)
@@ -227,6 +253,14 @@ class Link:
             self._last_timesync_autopilot_s = self._boot_time_s
             self.send(mav.MAVLink_timesync_message(0, now_ns))
 
+    def take_notices(self) -> list[str]:
+        """What happened to the wire since last asked, in sentences."""
+        notices = list(self._transport.notices)
+        self._transport.notices.clear()
+        return notices
+
     def close(self) -> None:
         """Close the wire."""
         self._transport.close()
+        if self.signer is not None:
+            self.signer.close()

@@ -1,4 +1,4 @@
-"""The wires: UDP, TCP and serial, all non-blocking, all with the same four methods.
+"""The wires: UDP, TCP and serial, all non-blocking, all with the same methods.
 
 `receive` never blocks; `wait` blocks until there is something to receive or the time is over. What comes
 back is a list of chunks; `datagrams` says whether a chunk stands alone (UDP) or continues a stream.
@@ -10,8 +10,9 @@ import errno
 import os
 import select
 import socket
+import termios
 import time
-from typing import Protocol
+from collections import deque
 
 from companion.config.errors import UserError
 from companion.mavlink.endpoint import Endpoint, EndpointKind
@@ -20,40 +21,62 @@ RECEIVE_BUFFER_BYTES = 1 << 20
 CHUNKS_PER_READ = 64  # bounds how long one `receive` can keep the control thread under a flood
 
 
-class Transport(Protocol):
-    """A wire to an autopilot."""
+PEER_SILENT_S = 1.0  # after this the autopilot may speak from another address: it started again
+RETRY_S = 0.2  # between attempts to open a broken TCP or serial connection again
+ATTEMPT_S = 0.2  # how long one attempt may keep the caller
+
+
+class Transport:
+    """A wire to an autopilot. The base class says which of its methods may be left out."""
 
     datagrams: bool
 
+    def __init__(self) -> None:
+        self.notices: deque[str] = deque(maxlen=32)
+        """What happened to the wire, in sentences for the pilot; taken away by whoever shows them."""
+
     def wait(self, timeout_s: float) -> bool:
         """Block until something can be received, at most `timeout_s`; say whether something can."""
-        ...
+        raise NotImplementedError
 
     def receive(self) -> list[bytes]:
         """All chunks waiting now (bounded), without blocking."""
-        ...
+        raise NotImplementedError
 
     def send(self, data: bytes) -> bool:
         """Send one frame without blocking; False when it could not go out now."""
-        ...
+        raise NotImplementedError
+
+    def believe_sender(self) -> None:
+        """The last chunk held a good frame of our autopilot: whoever sent it is our peer."""
+
+    def greet_sender(self) -> None:
+        """The last chunk came from somebody worth an answer, but not worth believing yet."""
 
     def close(self) -> None:
         """Close the wire."""
-        ...
+        raise NotImplementedError
 
 
-class UdpTransport:
-    """UDP, listening (the peer is whoever speaks MAVLink first) or speaking first to a fixed address."""
+class UdpTransport(Transport):
+    """UDP, listening (the peer is whoever speaks MAVLink first) or speaking first to a fixed address.
+
+    A listening one hears nobody but its peer while the peer speaks. Once that has been silent for PEER_SILENT_S, a good
+    frame of the same autopilot from another address makes that one the peer: a restarted router has a new port.
+    """
 
     datagrams = True
 
     def __init__(self, endpoint: Endpoint) -> None:
+        super().__init__()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
         self._socket.setblocking(False)
         self._fixed_peer = endpoint.kind is EndpointKind.UDP_OUT
-        self.peer: tuple[str, int] | None = None
+        self._peer_heard_s = 0.0
         self._last_sender: tuple[str, int] | None = None
+        self._greeted: tuple[str, int] | None = None
+        self.peer: tuple[str, int] | None = None
         try:
             if self._fixed_peer:
                 self.peer = (socket.gethostbyname(endpoint.host), endpoint.number)
@@ -69,8 +92,9 @@ class UdpTransport:
         return bool(select.select([self._socket], [], [], max(0.0, timeout_s))[0])
 
     def receive(self) -> list[bytes]:
-        """See `Transport.receive`. Once the peer is known, other senders' datagrams are dropped unread."""
+        """See `Transport.receive`. While the peer speaks, other senders' datagrams are dropped unread."""
         chunks = []
+        now_s = time.monotonic()
         for _ in range(CHUNKS_PER_READ):
             try:
                 data, sender = self._socket.recvfrom(65535)
@@ -78,25 +102,36 @@ class UdpTransport:
                 break
             except OSError:  # ICMP port unreachable: the peer is gone for now; silence is handled above
                 continue
-            if self.peer is None:
+            if sender == self.peer:
+                self._peer_heard_s = now_s
+                chunks.append(data)
+            elif self.peer is None or (not self._fixed_peer and now_s - self._peer_heard_s > PEER_SILENT_S):
                 self._last_sender = sender
                 chunks.append(data)
                 break  # its frames have to be believed before this sender becomes the peer
-            if sender == self.peer:
-                chunks.append(data)
         return chunks
 
     def believe_sender(self) -> None:
-        """The last datagram held a good frame of an autopilot: answer there, and hear nobody else."""
-        if self.peer is None:
-            self.peer = self._last_sender
+        """See `Transport.believe_sender`: answer there, and hear nobody else."""
+        if self._last_sender is None or self._fixed_peer:
+            return
+        if self.peer is not None:
+            host, port = self._last_sender
+            self.notices.append(f"the autopilot now speaks from {host}:{port}")
+        self.peer, self._last_sender = self._last_sender, None
+        self._peer_heard_s = time.monotonic()
+
+    def greet_sender(self) -> None:
+        """See `Transport.greet_sender`: our frames go there until we have a peer."""
+        self._greeted = self._last_sender
 
     def send(self, data: bytes) -> bool:
         """See `Transport.send`."""
-        if self.peer is None:
+        address = self.peer or self._greeted
+        if address is None:
             return False
         try:
-            self._socket.sendto(data, self.peer)
+            self._socket.sendto(data, address)
         except OSError:
             return False
         return True
@@ -106,78 +141,131 @@ class UdpTransport:
         self._socket.close()
 
 
-class StreamTransport:
-    """TCP or serial: one file descriptor, bytes in order. A closed connection is told by `ConnectionError`."""
+class StreamTransport(Transport):
+    """TCP or serial: one file descriptor, bytes in order.
+
+    A connection that breaks is opened again, an attempt every RETRY_S; until then nothing is received and nothing can
+    be sent. Whether the silence has become too long is for others to say.
+    """
 
     datagrams = False
 
     def __init__(self, endpoint: Endpoint, connect_timeout_s: float) -> None:
+        """Open the connection, waiting for the other side at most `connect_timeout_s`.
+
+        Raises:
+            UserError: it cannot be opened.
+        """
+        super().__init__()
         self._listener: socket.socket | None = None
         self._unsent = bytearray()
         self._endpoint = endpoint
+        self._broke_s = 0.0
+        self._next_attempt_s = 0.0
+        self._file: int | None = None
         try:
-            if endpoint.kind is EndpointKind.SERIAL:
-                self._file = _open_serial(endpoint)
-            elif endpoint.kind is EndpointKind.TCP_SERVER:
-                self._file = self._accept(endpoint, connect_timeout_s)
-            else:
-                self._file = _connect(endpoint, connect_timeout_s)
+            if endpoint.kind is EndpointKind.TCP_SERVER:
+                self._listener = socket.create_server((endpoint.host, endpoint.number))
+            deadline = time.monotonic() + connect_timeout_s
+            while self._file is None:
+                try:
+                    self._file = self._open(2.0)
+                except (ConnectionRefusedError, TimeoutError):  # simulators open their port late
+                    if time.monotonic() > deadline:
+                        raise
+                    time.sleep(0.1)
+        except TimeoutError:
+            self.close()
+            raise UserError(self._nobody_came(connect_timeout_s)) from None
         except OSError as error:
+            self.close()
             raise _cannot_open(endpoint, error) from None
 
-    def _accept(self, endpoint: Endpoint, timeout_s: float) -> int:
-        self._listener = socket.create_server((endpoint.host, endpoint.number))
-        self._listener.settimeout(timeout_s)
-        try:
-            connection, _ = self._listener.accept()
-        except TimeoutError:
-            self._listener.close()
-            raise UserError(
-                f"endpoint {endpoint}: nobody connected within {timeout_s:.0f} s; "
+    def _nobody_came(self, timeout_s: float) -> str:
+        if self._listener is not None or self._endpoint.kind is EndpointKind.TCP_SERVER:
+            return (
+                f"endpoint {self._endpoint}: nobody connected within {timeout_s:.0f} s; "
                 "point the autopilot's TCP client at this address"
-            ) from None
-        return _detached(connection)
+            )
+        return f"endpoint {self._endpoint}: no answer within {timeout_s:.0f} s; is the address right?"
+
+    def _open(self, timeout_s: float) -> int:
+        if self._endpoint.kind is EndpointKind.SERIAL:
+            return _open_serial(self._endpoint)
+        if self._listener is None:
+            address = (self._endpoint.host, self._endpoint.number)
+            return _detached(socket.create_connection(address, timeout=timeout_s))
+        self._listener.settimeout(timeout_s)
+        return _detached(self._listener.accept()[0])
 
     def wait(self, timeout_s: float) -> bool:
         """See `Transport.wait`."""
+        if self._file is None and not self._open_again():
+            time.sleep(min(max(0.0, timeout_s), RETRY_S))
+            return False
+        assert self._file is not None
         return bool(select.select([self._file], [], [], max(0.0, timeout_s))[0])
 
     def receive(self) -> list[bytes]:
-        """See `Transport.receive`.
-
-        Raises:
-            ConnectionError: when the other side closed the connection or the device is gone.
-        """
+        """See `Transport.receive`."""
+        if self._file is None:
+            return []
         try:
             data = os.read(self._file, 65536)
         except BlockingIOError:
             return []
         except OSError as error:
-            raise ConnectionError(f"endpoint {self._endpoint}: {os.strerror(error.errno or 0)}") from None
-        if not data and self._endpoint.kind is not EndpointKind.SERIAL:
-            raise ConnectionError(f"endpoint {self._endpoint}: the other side closed the connection")
-        return [data] if data else []
+            self._broke(os.strerror(error.errno or 0))
+            return []
+        if not data:  # both kinds of descriptor say so when the other end is gone
+            self._broke("the other side is gone")
+            return []
+        return [data]
 
     def send(self, data: bytes) -> bool:
         """See `Transport.send`. A frame once begun is finished first; one that finds no room is dropped whole."""
-        if self._unsent and not self._flush():
+        if self._file is None or (self._unsent and not self._flush()):
             return False
         self._unsent += data
         self._flush()
-        return True
+        return self._file is not None
 
     def _flush(self) -> bool:
+        assert self._file is not None
         try:
             del self._unsent[: os.write(self._file, self._unsent)]
         except BlockingIOError:
             return False
         except OSError as error:
-            raise ConnectionError(f"endpoint {self._endpoint}: {os.strerror(error.errno or 0)}") from None
+            self._broke(os.strerror(error.errno or 0))
+            return False
         return not self._unsent
+
+    def _broke(self, why: str) -> None:
+        assert self._file is not None
+        os.close(self._file)
+        self._file = None
+        self._unsent.clear()
+        self._broke_s = time.monotonic()
+        self.notices.append(f"endpoint {self._endpoint}: {why}; trying to connect again")
+
+    def _open_again(self) -> bool:
+        now_s = time.monotonic()
+        if now_s < self._next_attempt_s:
+            return False
+        self._next_attempt_s = now_s + RETRY_S
+        try:
+            self._file = self._open(ATTEMPT_S)
+        except OSError:
+            return False
+        self.notices.append(f"endpoint {self._endpoint}: connected again after {now_s - self._broke_s:.1f} s")
+        return True
 
     def close(self) -> None:
         """Close the connection."""
-        os.close(self._file)
+        if self._file is not None:
+            os.close(self._file)
+            self._file = None
         if self._listener is not None:
             self._listener.close()
 
@@ -191,18 +279,6 @@ def open_transport(endpoint: Endpoint, connect_timeout_s: float = 30.0) -> UdpTr
     if endpoint.kind in (EndpointKind.UDP_IN, EndpointKind.UDP_OUT):
         return UdpTransport(endpoint)
     return StreamTransport(endpoint, connect_timeout_s)
-
-
-def _connect(endpoint: Endpoint, timeout_s: float) -> int:
-    """Connect, trying again while nobody listens yet: simulators open their port late."""
-    deadline = time.monotonic() + timeout_s
-    while True:
-        try:
-            return _detached(socket.create_connection((endpoint.host, endpoint.number), timeout=2.0))
-        except (ConnectionRefusedError, TimeoutError):
-            if time.monotonic() > deadline:
-                raise
-            time.sleep(0.1)
 
 
 def _detached(connection: socket.socket) -> int:
@@ -220,6 +296,10 @@ def _open_serial(endpoint: Endpoint) -> int:
         raise OSError(error.errno or errno.EIO, str(error)) from None
     file = os.dup(port.fileno())
     os.set_blocking(file, False)
+    # pyserial asks for reads that return at once with nothing; then nothing could not be told from a pulled plug.
+    attributes = termios.tcgetattr(file)
+    attributes[6][termios.VMIN] = 1
+    termios.tcsetattr(file, termios.TCSANOW, attributes)
     port.close()
     return file
 
