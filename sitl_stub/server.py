@@ -25,8 +25,10 @@ BARRIER_PATIENCE_S = 2.0
 MISSES_TO_REAL_TIME = 3
 START_PROBE_S = 0.1
 """How often the very first messages are repeated while nobody listens at a UDP address."""
-START_REPEAT_S = 3.0
+START_REPEAT_S = 10.0
 """The same once somebody has the address open: no refusal came, so one probe is already waiting there."""
+SILENCE_TO_REAL_TIME_S = 10.0
+"""How long, from its first message on, the first answer of a client is waited for."""
 LARGEST_LAG_S = 0.5
 """Real time: simulated time further behind than this is given up instead of being caught up."""
 SILENT_CLIENT_US = 15_000_000
@@ -221,7 +223,7 @@ class Server:
     def _run_lockstep(self, autopilot: Autopilot) -> None:
         self._wait_for_first_answer(autopilot)
         while not self._finished(autopilot):
-            if autopilot.step():
+            if not self.free_running and autopilot.step():
                 self._request_answers(autopilot)
                 self._wait_for_answers(autopilot)
             else:
@@ -240,6 +242,7 @@ class Server:
         """Repeat HEARTBEAT and TIMESYNC at the first instant until a client answers; time stands still."""
         next_probe = 0.0
         heartbeat = LAYOUTS["HEARTBEAT"].message_id
+        heard_at: float | None = None
         probed: set[int] = set()
         while not self._finished(autopilot):
             now = time.monotonic()
@@ -255,6 +258,11 @@ class Server:
                 if any(isinstance(link, UdpLink) and link.refused for link in autopilot.links):
                     next_probe = now + START_PROBE_S
             self._handle(self._receive(max(min(next_probe - time.monotonic(), 0.1), 0.0)))
+            if heard_at is None and any(link.heard and link.role != "gcs" for link in autopilot.links):
+                heard_at = time.monotonic()
+            if heard_at is not None and time.monotonic() - heard_at > SILENCE_TO_REAL_TIME_S:
+                self.free_running = True  # a client that speaks but never answers TIMESYNC (MAVSDK does not)
+                return
             if any(
                 self._barriers[id(link)].takes_part for link in autopilot.links if id(link) in self._barriers
             ):

@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -15,7 +16,10 @@ import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+import sitl_stub.server as server_module
 from sitl_stub import Stub, StubError
+from sitl_stub.firmware.px4_build import build_px4
+from sitl_stub.mavlink.links import UdpPort
 
 
 class LockstepClient:
@@ -137,6 +141,26 @@ def test_client_comes_back_and_lockstep_resumes() -> None:
         assert again.time_s >= 25.0
         assert time.monotonic() - resumed < 20.0  # lockstep, not the clock
         again.close()
+
+
+def test_client_that_never_answers_timesync_gets_real_time_after_a_while(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(server_module, "SILENCE_TO_REAL_TIME_S", 0.3)
+    port = UdpPort(("127.0.0.1", 0), None, "onboard")
+    server = server_module.Server([port], speed=50.0, lockstep=True)
+    server.duration_us = 3_000_000
+    autopilot = build_px4()
+    runner = threading.Thread(target=server.run, args=(autopilot,), daemon=True)
+    runner.start()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        frame = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(mavlink.MAVLink(None, 255, 190))
+        time.sleep(0.2)
+        assert autopilot.time_us == 0  # nobody has spoken: time stands
+        sender.sendto(bytes(frame), port.local)
+        runner.join(20.0)
+    server.close()
+    assert autopilot.time_us >= 3_000_000
 
 
 @pytest.mark.parametrize(
