@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 from sitl_stub.stub_process import watch_parent
 
 if TYPE_CHECKING:
+    from sitl_stub.firmware.autopilot import Autopilot
     from sitl_stub.mavlink.codec import LinkCounters
     from sitl_stub.mavlink.links import Port
     from sitl_stub.physics.vehicle import VehicleParameters
@@ -234,9 +235,15 @@ def main(arguments: list[str] | None = None) -> int:
         # From here on numba is loaded; everything that can be refused has been looked at.
         from sitl_stub.firmware.px4_build import build_px4
 
-        autopilot = build_px4(
-            options.firmware, vehicle, options.estimator, options.seed, (mean, 0.0, 0.0), gust, parameters
-        )
+        def build() -> Autopilot:
+            return build_px4(
+                options.firmware, vehicle, options.estimator, options.seed, (mean, 0.0, 0.0), gust, parameters
+            )
+
+        # One that nobody hears compiles what is not in the cache yet: half a minute on a new machine, in which
+        # a client that had heard a HEARTBEAT would take the silence for a lost link.
+        build().step()
+        autopilot = build()
         serving.set()
     except _Stopped:
         for port in ports:

@@ -141,7 +141,7 @@ def fly_once(
 ) -> tuple[str, str, int]:
     """One flight with the shared options; returns outcome, text and exit code."""
     from companion.cli.console import ConsoleReporter
-    from companion.cli.sitl import FIRMWARES, running_stub
+    from companion.cli.sitl import FIRMWARES, STUB_PATIENCE, running_stub
     from companion.config.settings import load_settings
     from companion.flight.session import SessionOptions, fly
 
@@ -155,11 +155,13 @@ def fly_once(
             "seed": seed,
             "duration_s": arguments.duration,
         },
-        arguments.overrides,
+        ([STUB_PATIENCE] if arguments.sitl else []) + arguments.overrides,
     )
     if arguments.sitl and arguments.sitl not in FIRMWARES:
         raise UserError(f"--sitl {arguments.sitl}: the bundled stub has {', '.join(FIRMWARES)}")
     reporter = ConsoleReporter()
+    if arguments.sitl:
+        reporter.say("starting the bundled stub; the first time on a machine it compiles for up to a minute")
     stub_words = shlex.split(arguments.sitl_options) + ([] if arguments.real_time else ["--lockstep"])
     simulator = (
         running_stub(arguments.sitl, seed, stub_words) if arguments.sitl else nullcontext(arguments.endpoint)

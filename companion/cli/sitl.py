@@ -16,6 +16,8 @@ from companion.config.errors import UserError
 
 FIRMWARES = ("px4", "px4-1.13", "ardupilot")
 START_TIMEOUT_S = 60.0
+STUB_PATIENCE = "flight.procedure.connect_timeout_s=300"
+"""Setting for a flight against the stub: on a new machine it compiles before its first HEARTBEAT."""
 
 
 @contextmanager
