@@ -35,6 +35,13 @@ class MemoryTransport:
         self.waiting = deque()
         self.sent = []
         self.takes = True
+        self.notices = deque()
+
+    def believe_sender(self):
+        pass
+
+    def greet_sender(self):
+        pass
 
     def wait(self, timeout_s):
         return bool(self.waiting)
