@@ -174,6 +174,7 @@ def fly_once(
             may_arm=arguments.arm,
             fix=arguments.fix,
             wait_for_offboard=arguments.wait_for_offboard,
+            real_time=not arguments.sitl or arguments.real_time,
             command_line=shlex.join(sys.argv),
         )
         try:

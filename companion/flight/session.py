@@ -52,6 +52,7 @@ class SessionOptions:
     may_arm: bool = False
     fix: bool = False
     wait_for_offboard: bool = False
+    real_time: bool = True  # ask for real-time scheduling; a simulation in lockstep has no use for it
     command_line: str = ""
 
 
@@ -64,8 +65,11 @@ def fly(settings: Settings, options: SessionOptions, reporter: Reporter) -> Flig
     trajectory = trajectory_from_text(settings.flight.trajectory)
     _law(settings, None).warm_up()  # seconds, so before anybody is listening to us
     Predictor(settings.profile, settings.level)
-    for line in realtime.prepare():
-        reporter.say(line)
+    if options.real_time:
+        for line in realtime.prepare():
+            reporter.say(line)
+    else:
+        realtime.freeze_collector()
     link = options.connection.open(reporter.say)
     try:
         with FlightLog(
