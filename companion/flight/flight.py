@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.autopilot.adapter import ARM, DISARM, Finding, Intent
+from companion.config.errors import UserError
 from companion.config.settings import FlightSettings
 from companion.control.structs import ControlLevel, Reference
 from companion.flight.control_loop import ControlLoop, at_rest, level_with_heading, yaw_of
@@ -17,6 +18,7 @@ from companion.flight.outcome import (
     FlightEnd,
     HandedBack,
     Interrupted,
+    LeftFlying,
     LinkLost,
     Outcome,
     PilotTookOver,
@@ -35,6 +37,7 @@ from companion.reference.trajectory import Frame, Placed, Trajectory, place
 from companion.reference.transit import TransitLimits
 
 _PROGRESS_S = 1.0
+_DISARM_TIMEOUT_S = 1.5  # until HEARTBEAT shows what a COMMAND_ACK has said
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,11 +113,7 @@ class Flight:
         self.phase = Phase.CONNECT
 
     def run(self) -> FlightResult:
-        """Fly. Always returns, with the vehicle in the safest state that could be reached.
-
-        Raises:
-            UserError: nothing to fly was found at the endpoint.
-        """
+        """Fly. Always returns, with the vehicle in the safest state that could be reached."""
         self._vehicle.watch = self._watch
         try:
             self._enter(Phase.CONNECT)
@@ -129,6 +128,15 @@ class Flight:
             result = self._end_safely(end)
         except WaitedTooLong as waited:
             result = self._end_safely(Aborted(str(waited)) if self._engaged else Refused(str(waited)))
+        except UserError as error:
+            result = self._end_safely(Refused(str(error)))
+        except Exception as error:  # a mistake of ours must not leave a vehicle in the air
+            self._write_down(self._end_safely(Aborted(f"mistake in this program: {error!r}")))
+            raise
+        return self._write_down(result)
+
+    def _write_down(self, result: FlightResult) -> FlightResult:
+        """The last acts of every flight: parameters as they were, and the last word in the log."""
         self._put_parameters_back(result)
         self._recorder.log.event(
             "ended", self._vehicle.link.autopilot_time_s, outcome=result.outcome.value, text=result.text
@@ -316,12 +324,19 @@ class Flight:
             except WaitedTooLong:
                 continue
         else:
-            raise HandedBack(
+            raise LeftFlying(
                 f"the autopilot did not take LAND ({vehicle.result_word(result)}); our setpoints stop, "
                 "so its own offboard-loss action brings it down" + self._vehicle.last_texts()
             )
         self._loop.stop()
-        vehicle.until(lambda: not vehicle.status.armed, self._settings.procedure.land_timeout_s, "landing")
+        timeout_s = self._settings.procedure.land_timeout_s
+        try:
+            vehicle.until(lambda: not vehicle.status.armed, timeout_s, "landing")
+        except WaitedTooLong:
+            raise LeftFlying(
+                f"still armed {timeout_s:.0f} s after LAND; it is in "
+                f"{vehicle.adapter.mode_name(vehicle.status.custom_mode)} and flies without us"
+            ) from None
         self._enter(Phase.DONE)
 
     def _not_ours(self) -> bool:
@@ -336,7 +351,7 @@ class Flight:
             self._answered_interrupts = self._interrupts.count
             if self._interrupts.count > 1:
                 raise HandedBack("interrupted again: handed back to the autopilot at once")
-            raise Interrupted("interrupted")
+            raise Interrupted("by Ctrl-C or SIGTERM")
         if not self._engaged:
             return
         vehicle = self._vehicle
@@ -396,11 +411,10 @@ class Flight:
         self._recorder.log.event(
             "safety", self._vehicle.link.autopilot_time_s, reaction=end.outcome.value, reason=str(end)
         )
-        self._reporter.say(f"{end.outcome.value}: {end}")
         try:
             return self._bring_down(end)
         except FlightEnd as another:
-            if not isinstance(another, LinkLost):
+            if isinstance(another, HandedBack):
                 self._hand_back()
             return FlightResult(another.outcome, f"{end}; then {another}")
         except WaitedTooLong as waited:
@@ -415,12 +429,13 @@ class Flight:
         if isinstance(end, (Interrupted, Aborted)):
             if isinstance(end, Aborted):
                 self._loop.stop()
-            self._land(str(end))
+            self._land_whatever(str(end))
             return FlightResult(end.outcome, f"{end}; landed and disarmed")
         if hasattr(self, "_loop"):
             self._loop.stop()
         if isinstance(end, PilotTookOver):
             self._enter(Phase.WATCH)
+            self._reporter.say(f"{end.outcome.value}: {end}")
             self._reporter.say("no more setpoints; logging until the vehicle is disarmed (Ctrl-C ends it)")
             vehicle = self._vehicle
             try:
@@ -432,14 +447,27 @@ class Flight:
             self._hand_back()
         return FlightResult(end.outcome, str(end))
 
+    def _land_whatever(self, why: str) -> None:
+        """Land; a first wish to stop is what is being done already, a second one ends it."""
+        try:
+            self._land(why)
+        except Interrupted:
+            self._land(why)
+
     def _stay_down(self, end: FlightEnd, engaged: bool) -> FlightResult:
-        """On the ground: disarm if it was us who armed, and leave our mode."""
+        """On the ground, as far as we know: disarm, leave our mode. What will not disarm has left the ground: land."""
+        vehicle = self._vehicle
         if hasattr(self, "_loop"):
             self._loop.stop()
-        if engaged:
-            if self._vehicle.status.armed:
-                self._vehicle.command(DISARM)
-            self._vehicle.command(self._vehicle.adapter.mode(Intent.HOLD))
+        if not engaged:
+            return FlightResult(end.outcome, str(end))
+        vehicle.command(DISARM)  # armed or not: our ARM may be under way still
+        try:
+            vehicle.until(lambda: not vehicle.status.armed, _DISARM_TIMEOUT_S)
+        except WaitedTooLong:
+            self._land_whatever(str(end))
+            return FlightResult(end.outcome, f"{end}; landed and disarmed")
+        vehicle.command(vehicle.adapter.mode(Intent.HOLD))
         return FlightResult(end.outcome, str(end))
 
     def _hand_back(self) -> None:

@@ -19,7 +19,7 @@ class Outcome(enum.Enum):
     ABORTED = "aborted"
     """The supervisor ended the flight: landed by the autopilot."""
     HANDED_BACK = "handed back"
-    """A second Ctrl-C: the autopilot holds, we are gone."""
+    """A second Ctrl-C, or an autopilot that does not land: it has the vehicle, we are gone."""
     LINK_LOST = "link lost"
     """The autopilot fell silent; what it does now is its own offboard-loss action."""
 
@@ -61,6 +61,12 @@ class Aborted(FlightEnd):
 
 class HandedBack(FlightEnd):
     """A second Ctrl-C."""
+
+    outcome = Outcome.HANDED_BACK
+
+
+class LeftFlying(FlightEnd):
+    """The autopilot did not bring the vehicle down in time, or would not; nothing more is asked of it."""
 
     outcome = Outcome.HANDED_BACK
 
