@@ -2,7 +2,7 @@
 
 Meant differences, each with its reason:
 - readiness: with the gps preset the stub is ready at 4.2 s as in the capture, other presets at 1 s (nothing to wait for);
-- touch-down: the real land detector took 8 s longer than the stub's, fooled by the accelerometer noise SIH adds;
+- touch-down: the real land detector took 7 s longer than the stub's, likely for the accelerometer noise SIH adds;
 - LINK_NODE_STATUS, TIME_ESTIMATE_TO_TARGET, GNSS_INTEGRITY, OPEN_DRONE_ID_* are not sent: the stub has nothing behind them;
 - TIMESYNC requests come with every instant instead of ten times a second: that is what lockstep is;
 - rate steps begin where the stub's half-second publication of the control mode has the phase that the capture's had.
