@@ -26,9 +26,12 @@ if TYPE_CHECKING:
     from sitl_stub.physics.vehicle import VehicleParameters
     from sitl_stub.server import Server
 
-FIRMWARES = ("px4", "px4-1.13")
+FIRMWARES = ("px4", "px4-1.13", "ardupilot")
+VEHICLES = {"ardupilot": "arducopter"}
+"""The vehicle of a firmware when none is asked for; qball2 for the others."""
 ONBOARD_REMOTE, ONBOARD_LOCAL = "127.0.0.1:14540", 14580
 GCS_REMOTE, GCS_LOCAL = "127.0.0.1:14550", 18570
+ARDUPILOT_TCP = "127.0.0.1:5760"
 
 EXAMPLES = """examples:
   sitl-stub                                    PX4 with the report's vehicle; speaks to udp 14540 and 14550, as PX4 does
@@ -37,6 +40,8 @@ EXAMPLES = """examples:
   sitl-stub --tcp 127.0.0.1:5760 --speed 4     a TCP server, four times real time
   sitl-stub --udp 127.0.0.1:15000@0 --json     own free port, one JSON line when the sockets are open
   sitl-stub --firmware px4-1.13                the last PX4 that took actuator controls
+  sitl-stub --firmware ardupilot               ArduCopter 4.7: a TCP server on 5760, and speaks to udp 14550
+  sitl-stub --firmware ardupilot --ready-after 1 --param GUID_OPTIONS=8
   sitl-stub --vehicle px4_sih --estimator gps --wind 4,1.5 --param MC_ROLL_P=6
   sitl-stub --port 0 --json                    free ports throughout; the client's endpoint is in the line
 """
@@ -45,16 +50,22 @@ EXAMPLES = """examples:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="sitl-stub",
-        description="A stand-in autopilot in pure Python: PX4's behaviour on the wire, a 6-DOF multirotor inside.",
+        description="A stand-in autopilot in pure Python: PX4's or ArduCopter's behaviour on the wire, "
+        "a 6-DOF multirotor inside.",
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     vehicle = parser.add_argument_group("vehicle")
     vehicle.add_argument(
-        "--firmware", choices=FIRMWARES, default="px4", help="whose behaviour (default px4: 1.17)"
+        "--firmware",
+        choices=FIRMWARES,
+        default="px4",
+        help="whose behaviour (default px4: 1.17; ardupilot: Copter 4.7)",
     )
     vehicle.add_argument(
-        "--vehicle", default="qball2", metavar="NAME", help="qball2, px4_sih or a .toml file (default qball2)"
+        "--vehicle",
+        metavar="NAME",
+        help="qball2, px4_sih, arducopter or a .toml file (default qball2; arducopter for ArduPilot)",
     )
     vehicle.add_argument(
         "--mass", type=float, metavar="KG", help="true mass, where it differs from the vehicle's file"
@@ -71,6 +82,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     vehicle.add_argument(
         "--param", action="append", default=[], metavar="NAME=VALUE", help="set a parameter; may be repeated"
+    )
+    vehicle.add_argument(
+        "--ready-after",
+        type=float,
+        metavar="S",
+        help="simulated time until ready to fly (default as the firmware: 1 s, PX4 with GPS 4.2 s, ArduPilot 42 s)",
     )
     links = parser.add_argument_group("links (default: --udp 127.0.0.1:14540@14580 and ground station 14550)")
     links.add_argument(
@@ -144,7 +161,12 @@ def open_ports(options: argparse.Namespace) -> list[Port]:
     try:
         if options.port == 0:
             ports.append(UdpPort(("127.0.0.1", 0), ("127.0.0.1", _free_port()), "onboard"))
-        elif not (options.udp or options.gcs or options.udp_server or options.tcp):
+        elif options.udp or options.gcs or options.udp_server or options.tcp:
+            pass
+        elif options.firmware == "ardupilot":
+            ports.append(TcpPort(parse_address(ARDUPILOT_TCP, "--tcp"), "onboard"))
+            ports.append(UdpPort(("127.0.0.1", 0), parse_address(GCS_REMOTE, "--udp"), "onboard"))
+        else:
             ports.append(
                 UdpPort(("127.0.0.1", ONBOARD_LOCAL), parse_address(ONBOARD_REMOTE, "--udp"), "onboard")
             )
@@ -185,6 +207,8 @@ def _numbers(options: argparse.Namespace) -> tuple[float, float, dict[str, float
             raise _Refusal(f"--param {text!r}: give NAME=NUMBER, for example MC_ROLL_P=6")
     if not 0.01 <= options.speed <= 1000:
         raise _Refusal(f"--speed {options.speed}: give a number from 0.01 to 1000")
+    if options.ready_after is not None and not 0.0 <= options.ready_after <= 3600.0:
+        raise _Refusal(f"--ready-after {options.ready_after}: give seconds from 0 to 3600")
     if options.seed < 0:
         raise _Refusal(f"--seed {options.seed}: must not be negative")
     return parts[0], parts[1] if len(parts) > 1 else 0.0, parameters
@@ -192,22 +216,47 @@ def _numbers(options: argparse.Namespace) -> tuple[float, float, dict[str, float
 
 def _vehicle(options: argparse.Namespace, parameters: dict[str, float]) -> VehicleParameters:
     """The vehicle; also looks at estimator and parameters, so that a refusal comes before the ready line."""
+    from sitl_stub.firmware.ardupilot_parameters import stock_parameters
     from sitl_stub.firmware.parameters import ParameterTable, shipped_parameters
     from sitl_stub.physics.presets import load_preset
     from sitl_stub.physics.vehicle import load_vehicle
 
     load_preset(options.estimator)
-    table = ParameterTable(shipped_parameters("px4_parameters.json"))
+    table: ParameterTable
+    if options.firmware == "ardupilot":
+        table = stock_parameters()
+    else:
+        table = ParameterTable(shipped_parameters("px4_parameters.json"))
     for name, value in parameters.items():
         table.set(name, value)
     changes = {} if options.mass is None else {"mass_kg": options.mass}
     return load_vehicle(options.vehicle, **changes)
 
 
+def _build(
+    options: argparse.Namespace,
+    vehicle: VehicleParameters,
+    wind: float,
+    gust: float,
+    parameters: dict[str, float],
+) -> Autopilot:
+    """The firmware; from here on numba is loaded."""
+    place = (vehicle, options.estimator, options.seed, (wind, 0.0, 0.0), gust, parameters)
+    if options.firmware == "ardupilot":
+        from sitl_stub.firmware.ardupilot_build import build_ardupilot
+
+        return build_ardupilot(*place, options.ready_after)
+    from sitl_stub.firmware.px4_build import build_px4
+
+    return build_px4(options.firmware, *place, options.ready_after)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; returns the exit code: 0 done or stopped, 2 wrong arguments."""
     parent = os.getppid()
     options = _parser().parse_args(arguments)
+    if options.vehicle is None:
+        options.vehicle = VEHICLES.get(options.firmware, "qball2")
     stopping = threading.Event()
     servers: list[Server] = []
 
@@ -232,18 +281,11 @@ def main(arguments: list[str] | None = None) -> int:
         server = Server(ports, options.speed, options.lockstep)
         servers.append(server)
         _print_ready(options, ports)
-        # From here on numba is loaded; everything that can be refused has been looked at.
-        from sitl_stub.firmware.px4_build import build_px4
-
-        def build() -> Autopilot:
-            return build_px4(
-                options.firmware, vehicle, options.estimator, options.seed, (mean, 0.0, 0.0), gust, parameters
-            )
-
+        # Everything that can be refused has been looked at.
         # One that nobody hears compiles what is not in the cache yet: half a minute on a new machine, in which
         # a client that had heard a HEARTBEAT would take the silence for a lost link.
-        build().step()
-        autopilot = build()
+        _build(options, vehicle, mean, gust, parameters).step()
+        autopilot = _build(options, vehicle, mean, gust, parameters)
         serving.set()
     except _Stopped:
         for port in ports:

@@ -70,8 +70,9 @@ def build_px4(
     wind_ned_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0),
     gust_speed_m_s: float = 0.0,
     parameters: Mapping[str, float] | None = None,
+    ready_after_s: float | None = None,
 ) -> Px4:
-    """A PX4 ready to be stepped. `parameters` override single ones.
+    """A PX4 ready to be stepped. `parameters` override single ones, `ready_after_s` its start.
 
     Raises VehicleError, ParameterError, and KeyError for an unknown firmware.
     """
@@ -83,4 +84,6 @@ def build_px4(
     core = FlightCore(
         body, table, estimator, seed, wind_ned_m_s, gust_speed_m_s, count_all_rotors=version.old_mixers
     )
-    return Px4(core, table, version, READY_AFTER_S.get(estimator, READY_AFTER_OTHERS_S))
+    if ready_after_s is None:
+        ready_after_s = READY_AFTER_S.get(estimator, READY_AFTER_OTHERS_S)
+    return Px4(core, table, version, ready_after_s)

@@ -1,0 +1,283 @@
+"""ArduCopter 4.7 as a firmware of the stub: state, arming and its refusals, commands and messages.
+
+Behaviour follows the capture of ArduCopter 4.7.0-dev (see `tests/conformance`). Modes are flown in `ardupilot_flight.py`,
+targets taken in `ardupilot_guided.py`, messages built in `ardupilot_streams.py`, how it comes up in `ardupilot_boot.py`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from sitl_stub.firmware.ardupilot_boot import Boot
+from sitl_stub.firmware.ardupilot_commands import ArduPilotCommands
+from sitl_stub.firmware.ardupilot_core import ArduPilotCore
+from sitl_stub.firmware.ardupilot_flight import Flight
+from sitl_stub.firmware.ardupilot_ground import GroundSense
+from sitl_stub.firmware.ardupilot_guided import Guided
+from sitl_stub.firmware.ardupilot_modes import BY_NUMBER, Mode
+from sitl_stub.firmware.ardupilot_parameters import ArduPilotParameters
+from sitl_stub.firmware.ardupilot_streams import ArduPilotMessages
+from sitl_stub.firmware.autopilot import Autopilot, Result
+from sitl_stub.firmware.streams import Builder
+from sitl_stub.mavlink.links import Link
+
+CRITICAL, WARNING, INFO = 2, 4, 6
+"""MAV_SEVERITY."""
+ARMING_DELAY_US = 2_000_000
+LOGGING_AFTER_US = 15_000_000
+"""How long a refused arming keeps the log open."""
+CHUNK_BYTES = 50
+
+
+class ArduPilot(Autopilot):
+    """One ArduCopter."""
+
+    core: ArduPilotCore
+    parameters: ArduPilotParameters
+    integers_as_bits = False
+    unknown_interval_result = Result.DENIED
+    unknown_request_result = Result.FAILED
+
+    def __init__(
+        self, core: ArduPilotCore, parameters: ArduPilotParameters, ready_after_s: float = 42.0
+    ) -> None:
+        self.mode = Mode.STABILIZE
+        self.landed = True
+        self.auto_armed = False
+        """Whether flying has been asked for since arming; until then an armed vehicle stays on the ground."""
+        self.take_off_done = True
+        self.home_ned = np.zeros(3)
+        self.prearm_good = False
+        self._armed = False
+        self._armed_us = 0
+        self._idle_since_us = 0
+        self._log_until_us = 0
+        self._text_number = 0
+        self.core = core
+        self.parameters = parameters
+        self.guided = Guided(self)
+        self.flight = Flight(self)
+        self.ground_sense = GroundSense(self)
+        self.boot = Boot(self, ready_after_s)
+        self.say_messages = ArduPilotMessages(self)
+        super().__init__(core, parameters)
+        self.protocol = ArduPilotCommands(self)
+        self.commands.update(self.protocol.commands())
+        self.messages.update(self.protocol.messages())
+        self.flight.limit_vertical()
+        self.flight.rest_on_ground()
+
+    # --- state -------------------------------------------------------------------------------------------------
+    @property
+    def armed(self) -> bool:
+        """Whether the rotors may turn."""
+        return self._armed
+
+    @property
+    def in_arming_delay(self) -> bool:
+        """The first two seconds after arming: the motors do not turn yet."""
+        return self._armed and self.time_us - self._armed_us <= ARMING_DELAY_US
+
+    @property
+    def maybe_landed(self) -> bool:
+        """Whether it looks like the ground already."""
+        return self.ground_sense.maybe
+
+    @property
+    def position_known(self) -> bool:
+        """Whether the estimator has a position it vouches for."""
+        return self.boot.position_found and self.core.position_valid
+
+    @property
+    def gps_found(self) -> bool:
+        """Whether the receiver has been found."""
+        return self.boot.gps_found
+
+    @property
+    def ekf_started(self) -> bool:
+        """Whether the filter has its attitude."""
+        return self.boot.ekf_started
+
+    @property
+    def ahrs_ready(self) -> bool:
+        """Whether the attitude is vouched for (its bit in SYS_STATUS)."""
+        return self.boot.ahrs_ready
+
+    @property
+    def home_known(self) -> bool:
+        """Whether there is a home."""
+        return self.boot.home_known
+
+    @property
+    def logs(self) -> bool:
+        """Whether the log is open."""
+        return self._armed or self.time_us < self._log_until_us
+
+    @property
+    def height_above_home_m(self) -> float:
+        """Estimated height over home."""
+        return float(self.home_ned[2] - self.core.position_ned[2])
+
+    @property
+    def distance_from_home_m(self) -> float:
+        """Estimated horizontal distance from home."""
+        offset = self.core.position_ned[:2] - self.home_ned[:2]
+        return math.hypot(float(offset[0]), float(offset[1]))
+
+    # --- saying ------------------------------------------------------------------------------------------------
+    def say(self, severity: int, text: str) -> None:
+        """STATUSTEXT to every client; longer than 50 bytes goes in chunks under one id."""
+        self.on_text(text)
+        for link in self.links:
+            self.say_to(link, severity, text)
+
+    def say_to(self, link: Link, severity: int, text: str) -> None:
+        """STATUSTEXT to one client."""
+        chunks = [text[at : at + CHUNK_BYTES] for at in range(0, len(text), CHUNK_BYTES)] or [""]
+        number = 0
+        if len(chunks) > 1:
+            self._text_number = self._text_number % 65535 + 1
+            number = self._text_number
+        for index, chunk in enumerate(chunks):
+            link.send("STATUSTEXT", severity=severity, text=chunk, id=number, chunk_seq=index)
+
+    # --- modes and arming --------------------------------------------------------------------------------------
+    def request_mode(self, number: int) -> bool:
+        """Somebody asks for a mode: any on the ground while disarmed, in the air only what can be flown."""
+        mode = BY_NUMBER.get(number)
+        if mode is None:
+            self.say(WARNING, f"No such mode {number}")
+            return False
+        if mode is self.mode:
+            return True
+        refusal = self._mode_refusal(mode) if self._armed else None
+        if refusal is not None:
+            self.say(WARNING, f"Mode change to {mode.name} failed: {refusal}")
+            return False
+        self.mode = mode
+        self.flight.enter(mode)
+        self.on_text(f"mode {mode.name}")
+        for link in self.links:
+            self.streams.build(link, 0)
+        return True
+
+    def _mode_refusal(self, mode: Mode) -> str | None:
+        if mode.value.manual_throttle and self.landed and not self.mode.value.manual_throttle:
+            hover = self.parameters["MOT_THST_HOVER"]
+            if self.flight.sticks.throttle > 0.5 * hover:
+                return "throttle too high"
+        if mode.value.needs_position and not self.position_known:
+            return "requires position"
+        if mode is Mode.AUTO:
+            return "init failed"
+        return None
+
+    def arming_refusals(self) -> list[str]:
+        """What stands against arming in the present mode, in ArduPilot's words; empty when nothing does."""
+        refusals = []
+        if not self.boot.accelerometers_agree:
+            refusals.append("Accels inconsistent")
+        if self.mode.value.needs_position:
+            if not self.home_known:
+                refusals.append("AHRS: waiting for home")
+            elif not self.position_known:
+                refusals.append("Need Position Estimate")
+        if self.mode is Mode.AUTO:
+            refusals.append("Mode requires mission")
+        return refusals
+
+    def request_arm(self, forced: bool) -> Result:
+        """COMPONENT_ARM_DISARM with 1."""
+        if self._armed:
+            return Result.ACCEPTED
+        refusals = [] if forced else self.arming_refusals()
+        if not refusals and not forced:
+            if not self.mode.value.can_arm:
+                refusals.append(f"{self.mode.name} mode not armable")
+            elif self.flight.sticks.throttle > 0.0 and not self.mode.value.takes_targets:
+                refusals.append("Throttle too high")
+        if refusals:
+            for refusal in refusals:
+                self.say(CRITICAL, f"Arm: {refusal}")
+            self._log_until_us = self.time_us + LOGGING_AFTER_US
+            return Result.FAILED
+        self._armed = True
+        self._armed_us = self._idle_since_us = self.time_us
+        self.auto_armed = False
+        if self.position_known:
+            self.home_ned = np.array(self.core.position_ned)
+        for link in self.links:
+            if self.home_known:
+                self.streams.build(link, 49)
+                self.streams.build(link, 242)
+        self.say(INFO, "Arming motors")
+        return Result.ACCEPTED
+
+    def request_disarm(self, forced: bool) -> Result:
+        """COMPONENT_ARM_DISARM with 0: refused in the air unless forced."""
+        if not self._armed:
+            return Result.ACCEPTED
+        if not self.landed and not forced:
+            return Result.FAILED
+        self.disarm()
+        return Result.ACCEPTED
+
+    def disarm(self) -> None:
+        """Stop the motors."""
+        if not self._armed:
+            return
+        self._armed = False
+        self.auto_armed = False
+        self._log_until_us = self.time_us + LOGGING_AFTER_US
+        self.landed = True
+        self.flight.takeoff_height_m = None
+        self.flight.rest_on_ground()
+        self.flight.run()
+        self.say(INFO, "Disarming motors")
+
+    def request_take_off(self, height_above_home_m: float) -> bool:
+        """MAV_CMD_NAV_TAKEOFF: armed, on the ground, in a mode that takes off, upwards."""
+        if not (
+            self._armed and self.landed and self.mode.value.takes_off and math.isfinite(height_above_home_m)
+        ):
+            return False
+        if height_above_home_m <= self.height_above_home_m:
+            return False
+        height = height_above_home_m - float(self.home_ned[2])
+        if self.mode is Mode.GUIDED:
+            self.guided.take_off(height)
+        else:
+            self.flight.start_take_off()
+            self.flight.takeoff_height_m = height
+        self.take_off_done = False
+        return True
+
+    # --- the loop ----------------------------------------------------------------------------------------------
+    def run_logic(self) -> None:
+        """Everything that happens a hundred times a second."""
+        self.boot.update()
+        self.ground_sense.update()
+        self.flight.run()
+        if self.time_us % 1_000_000 == 0:
+            self.prearm_good = self._armed or not self.arming_refusals()
+        self._disarm_when_idle()
+
+    def _disarm_when_idle(self) -> None:
+        """DISARM_DELAY: armed, on the ground, throttle down, motors idle."""
+        delay = self.parameters["DISARM_DELAY"]
+        idle = self.landed and self.core.spool_state <= 1.0 and self.flight.sticks.throttle <= 0.0
+        if not self._armed or not idle or delay <= 0:
+            self._idle_since_us = self.time_us
+        elif self.time_us - self._idle_since_us >= delay * 1e6:
+            self.disarm()
+
+    def parameters_changed(self) -> None:
+        """Take changed parameters into the loops."""
+        self.core.use_parameters(self.parameters)
+
+    def stream_definitions(self) -> Sequence[tuple[str, Builder, Mapping[str, float]]]:
+        """Everything on request, HEARTBEAT unasked."""
+        return self.say_messages.definitions()

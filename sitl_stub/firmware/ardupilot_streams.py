@@ -1,0 +1,497 @@
+"""What ArduCopter sends: one builder a message, values in wire order. Nothing but HEARTBEAT is sent unasked.
+
+Constants that the stub has no model for (sensor bits, receiver's accuracies) are those of the capture. Positions on the
+globe are flat about the place where ArduPilot's simulator starts.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from sitl_stub.firmware import ardupilot_layout as at
+from sitl_stub.firmware.ardupilot_guided import Target
+from sitl_stub.firmware.ardupilot_modes import Mode
+from sitl_stub.firmware.autopilot import SIMULATED_EPOCH_US
+from sitl_stub.firmware.globe import LocalOrigin
+from sitl_stub.firmware.streams import Builder
+from sitl_stub.mavlink.codec import LAYOUTS
+from sitl_stub.mavlink.links import Link
+from sitl_stub.physics import vehicle as body
+
+if TYPE_CHECKING:
+    from sitl_stub.firmware.ardupilot import ArduPilot
+
+NAN = float("nan")
+Values = tuple[Any, ...]
+
+ORIGIN = LocalOrigin(-35.3632610, 149.1652299, 584.09)
+CAPABILITIES = 64495
+FLIGHT_SW_VERSION = 67567616  # 4.7.0 dev
+GIT_HASH = b"2598e9d4"
+BOARD_UID = b"3d1219c7c4c54040"
+QUADROTOR, ARDUPILOTMEGA = 2, 3
+STABILIZE_FLAG, GUIDED_FLAG, MANUAL_FLAG, CUSTOM_FLAG, ARMED_FLAG = 16, 8, 64, 1, 128
+STATE_STANDBY, STATE_ACTIVE = 3, 4
+MULTICOPTER = 3
+ON_GROUND, IN_AIR, TAKING_OFF, LANDING = 1, 2, 3, 4
+# SYS_STATUS bits of the capture
+PRESENT, ENABLED, HEALTHY = 0x5371FC0F, 0x52419C0F, 0x47519C0F
+GPS_BIT, HEIGHT_CONTROL_BIT, PLACE_CONTROL_BIT = 0x20, 0x2000, 0x4000
+AHRS_BIT, LOGGING_BIT, PREARM_BIT = 0x200000, 0x1000000, 0x10000000
+# EKF_STATUS_FLAGS
+EKF_UNINITIALISED = 1024
+EKF_NO_POSITION = 167
+EKF_GOOD = 831
+EKF_GOOD_LANDED = 831
+
+STREAM_GROUPS: dict[int, tuple[str, ...]] = {
+    1: ("RAW_IMU", "SCALED_IMU2", "SCALED_IMU3", "SCALED_PRESSURE", "SCALED_PRESSURE2", "AIRSPEED"),
+    2: (
+        "SYS_STATUS",
+        "POWER_STATUS",
+        "MCU_STATUS",
+        "MEMINFO",
+        "MISSION_CURRENT",
+        "GPS_RAW_INT",
+        "GPS2_RAW",
+        "NAV_CONTROLLER_OUTPUT",
+        "FENCE_STATUS",
+        "POSITION_TARGET_GLOBAL_INT",
+    ),
+    3: ("SERVO_OUTPUT_RAW", "RC_CHANNELS"),
+    6: ("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED"),
+    10: ("ATTITUDE", "SIMSTATE", "AHRS2", "PID_TUNING"),
+    11: ("VFR_HUD",),
+    12: (
+        "AHRS",
+        "SYSTEM_TIME",
+        "WIND",
+        "RANGEFINDER",
+        "DISTANCE_SENSOR",
+        "BATTERY_STATUS",
+        "OPTICAL_FLOW",
+        "MAG_CAL_REPORT",
+        "MAG_CAL_PROGRESS",
+        "EKF_STATUS_REPORT",
+        "VIBRATION",
+        "RPM",
+        "ESC_TELEMETRY_1_TO_4",
+    ),
+}
+"""MAV_DATA_STREAM number to what REQUEST_DATA_STREAM turns on."""
+
+SILENT = (
+    "MEMINFO", "RAW_IMU", "SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3", "SCALED_PRESSURE2", "SCALED_PRESSURE3", "GPS_RTK",
+    "GPS2_RAW", "GPS2_RTK", "FENCE_STATUS", "AHRS2", "AHRS", "WIND", "RANGEFINDER", "DISTANCE_SENSOR", "TERRAIN_REQUEST",
+    "TERRAIN_REPORT", "CAMERA_FEEDBACK", "CAMERA_INFORMATION", "CAMERA_SETTINGS", "OPTICAL_FLOW", "MAG_CAL_PROGRESS",
+    "MAG_CAL_REPORT", "PID_TUNING", "RPM", "MISSION_ITEM_REACHED", "EFI_STATUS", "GENERATOR_STATUS", "WINCH_STATUS",
+    "ESC_TELEMETRY_1_TO_4", "HIGH_LATENCY2", "MCU_STATUS", "RC_CHANNELS_RAW", "ADSB_VEHICLE",
+)  # fmt: skip
+"""Messages ArduCopter knows and the stub has nothing to say in: an interval is granted, none is sent."""
+
+
+def _int16(value: float) -> int:
+    return max(-32768, min(32767, round(value)))
+
+
+class ArduPilotMessages:
+    """Builders of every message of one vehicle."""
+
+    def __init__(self, autopilot: ArduPilot) -> None:
+        self.autopilot = autopilot
+        self.origin = ORIGIN
+
+    def altitude_of(self, down_m: float) -> float:
+        """Altitude above sea level of local z."""
+        return self.origin.altitude_m - down_m
+
+    def definitions(self) -> Sequence[tuple[str, Builder, Mapping[str, float]]]:
+        """Name, builder, default rates: HEARTBEAT only. Order on the wire within one instant."""
+        everywhere = dict.fromkeys(("onboard", "gcs", "tcp"), 1.0)
+        table: list[tuple[str, Builder, Mapping[str, float]]] = [("HEARTBEAT", self.heartbeat, everywhere)]
+        asked: list[tuple[str, Builder]] = [
+            ("SYS_STATUS", self.sys_status),
+            ("EXTENDED_SYS_STATE", self.extended_sys_state),
+            ("SYSTEM_TIME", self.system_time),
+            ("TIMESYNC", self.timesync),
+            ("BATTERY_STATUS", self.battery_status),
+            ("POWER_STATUS", self.power_status),
+            ("HWSTATUS", self.hwstatus),
+            ("EKF_STATUS_REPORT", self.ekf_status_report),
+            ("VIBRATION", self.vibration),
+            ("HOME_POSITION", self.home_position),
+            ("GPS_GLOBAL_ORIGIN", self.gps_global_origin),
+            ("MISSION_CURRENT", self.mission_current),
+            ("NAV_CONTROLLER_OUTPUT", self.nav_controller_output),
+            ("GPS_RAW_INT", self.gps_raw_int),
+            ("SCALED_PRESSURE", self.scaled_pressure),
+            ("RC_CHANNELS", self.rc_channels),
+            ("SERVO_OUTPUT_RAW", self.servo_output_raw),
+            ("VFR_HUD", self.vfr_hud),
+            ("GLOBAL_POSITION_INT", self.global_position_int),
+            ("POSITION_TARGET_LOCAL_NED", self.position_target_local_ned),
+            ("POSITION_TARGET_GLOBAL_INT", self.position_target_global_int),
+            ("ATTITUDE_TARGET", self.attitude_target),
+            ("HIGHRES_IMU", self.highres_imu),
+            ("SIMSTATE", self.simstate),
+            ("SIM_STATE", self.sim_state),
+            ("LOCAL_POSITION_NED", self.local_position_ned),
+            ("ATTITUDE", self.attitude),
+            ("ATTITUDE_QUATERNION", self.attitude_quaternion),
+            ("AUTOPILOT_VERSION", self.autopilot_version),
+        ]
+        table += [(name, build, {}) for name, build in asked]
+        table += [(name, self.nothing, {}) for name in SILENT if name in LAYOUTS]
+        return table
+
+    @staticmethod
+    def nothing(link: Link) -> Values | None:
+        """A message the stub has nothing to say in."""
+        return None
+
+    # --- status ------------------------------------------------------------------------------------------------
+    @property
+    def place_controlled(self) -> bool:
+        """Whether the horizontal position controller runs."""
+        a = self.autopilot
+        on_ground = a.flight.ground_control and a.mode is not Mode.RTL
+        return on_ground or bool(a.core.memory[at.NE_ACTIVE] > 0.0)
+
+    @property
+    def height_controlled(self) -> bool:
+        """Whether the height controller runs."""
+        a = self.autopilot
+        on_ground = a.flight.ground_control and a.mode is not Mode.RTL
+        return on_ground or bool(a.core.memory[at.UP_ACTIVE] > 0.0)
+
+    def heartbeat(self, link: Link) -> Values:
+        """HEARTBEAT: the guided bit tells that the position controller runs, the status that it flies."""
+        a = self.autopilot
+        base = STABILIZE_FLAG | MANUAL_FLAG | CUSTOM_FLAG
+        base |= GUIDED_FLAG if self.place_controlled else 0
+        base |= ARMED_FLAG if a.armed else 0
+        status = STATE_STANDBY if a.landed else STATE_ACTIVE
+        return (a.mode.number, QUADROTOR, ARDUPILOTMEGA, base, status, 3)
+
+    def sys_status(self, link: Link) -> Values:
+        """SYS_STATUS: sensors, the pre-arm bit (28) for the present mode, battery."""
+        a = self.autopilot
+        present, enabled, health = PRESENT, ENABLED, HEALTHY
+        if a.gps_found:
+            present, enabled, health = present | GPS_BIT, enabled | GPS_BIT, health | GPS_BIT
+        for bit, on in (
+            (HEIGHT_CONTROL_BIT, self.height_controlled),
+            (PLACE_CONTROL_BIT, self.place_controlled),
+            (AHRS_BIT, a.ahrs_ready),
+        ):
+            if on:
+                enabled |= bit
+                health |= bit
+        if a.logs:
+            enabled |= LOGGING_BIT
+        if a.prearm_good:
+            health |= PREARM_BIT
+        state = a.core.state
+        volts = round(float(state[body.BATTERY_VOLTAGE]) * 1000)
+        current = _int16(100.0 * self._current())
+        return (
+            present,
+            enabled,
+            health,
+            0,
+            volts,
+            current,
+            0,
+            0,
+            0,
+            0,
+            0,
+            0,
+            self._battery_percent(),
+            0,
+            0,
+            0,
+        )
+
+    def _current(self) -> float:
+        return float(self.autopilot.core.state[body.BATTERY_CURRENT]) if self.autopilot.armed else 0.0
+
+    def _battery_percent(self) -> int:
+        core = self.autopilot.core
+        used = float(core.state[body.CHARGE_USED] / core.parameters_packed[body.BATTERY_CAPACITY])
+        return max(0, min(100, round(100.0 * (1.0 - used))))
+
+    def battery_status(self, link: Link) -> Values:
+        """BATTERY_STATUS: one pack, its voltage in the first cell's field."""
+        state = self.autopilot.core.state
+        voltages = (round(float(state[body.BATTERY_VOLTAGE]) * 1000),) + (65535,) * 9
+        used_mah = round(float(state[body.CHARGE_USED]) / 3.6)
+        current = _int16(100.0 * self._current())
+        head = (used_mah, 0, 32767, *voltages, current, 0, 0, 0, self._battery_percent())
+        return (*head, 0, 1, 0, 0, 0, 0, 0, 0)
+
+    def power_status(self, link: Link) -> Values:
+        """POWER_STATUS of a simulated board."""
+        return (5000, 0, 0)
+
+    def hwstatus(self, link: Link) -> Values:
+        """HWSTATUS of a simulated board."""
+        return (5000, 0)
+
+    def extended_sys_state(self, link: Link) -> Values:
+        """EXTENDED_SYS_STATE: on the ground, in the air, taking off, landing."""
+        a = self.autopilot
+        if a.landed:
+            landed = ON_GROUND
+        elif a.mode is Mode.LAND or (a.mode is Mode.RTL and a.flight.rtl_stage == "land"):
+            landed = LANDING
+        elif a.mode is Mode.GUIDED and a.guided.target is Target.TAKE_OFF and not a.take_off_done:
+            landed = TAKING_OFF
+        else:
+            landed = IN_AIR
+        return (MULTICOPTER, landed)
+
+    def system_time(self, link: Link) -> Values:
+        """SYSTEM_TIME: no Unix time before the receiver has one."""
+        now = self.autopilot.time_us
+        return (SIMULATED_EPOCH_US + now if self.autopilot.gps_found else 0, now // 1000)
+
+    def timesync(self, link: Link) -> Values | None:
+        """TIMESYNC request; in lockstep the server sends them instead."""
+        if self.autopilot.lockstep:
+            return None
+        return (0, self.autopilot.time_us * 1000 + 1)
+
+    def ekf_status_report(self, link: Link) -> Values:
+        """EKF_STATUS_REPORT: flags, and test ratios that are all well."""
+        a = self.autopilot
+        flags = EKF_GOOD if a.position_known else EKF_NO_POSITION
+        if not a.ekf_started:
+            return (0.0, 0.0, 0.0, 0.0, 0.0, EKF_UNINITIALISED, 0.0)
+        return (0.02, 0.01, 0.01, 0.01, 0.0, flags, 0.0)
+
+    def vibration(self, link: Link) -> Values:
+        """VIBRATION: the accelerometer noise of the preset."""
+        a = self.autopilot
+        sd = a.core.estimator.preset.accelerometer_sd_thrusting if a.armed else (0.0, 0.0, 0.0)
+        return (a.time_us, *(float(value) for value in sd), 0, 0, 0)
+
+    def mission_current(self, link: Link) -> Values:
+        """MISSION_CURRENT: there is no mission."""
+        return (0, 0, 1, 0)
+
+    def nav_controller_output(self, link: Link) -> Values:
+        """NAV_CONTROLLER_OUTPUT: tilt asked for, distance from home."""
+        a = self.autopilot
+        w, x, y, z = a.core.target_quaternion.tolist()
+        roll = math.degrees(math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)))
+        pitch = math.degrees(math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0)))
+        heading = _int16(math.degrees(a.core.yaw))
+        return (roll, pitch, 0.0, 0.0, 0.0, heading, 0, min(round(a.distance_from_home_m), 65535))
+
+    # --- place -------------------------------------------------------------------------------------------------
+    def home_position(self, link: Link) -> Values | None:
+        """HOME_POSITION, once known; its attitude is not given."""
+        a = self.autopilot
+        if not a.home_known:
+            return None
+        x, y, z = (float(value) for value in a.home_ned)
+        latitude, longitude = self.origin.globe_e7(x, y)
+        altitude_mm = round(self.altitude_of(z) * 1000)
+        return (latitude, longitude, altitude_mm, x, y, z, NAN, NAN, NAN, NAN, 0.0, 0.0, 0.0, a.time_us)
+
+    def gps_global_origin(self, link: Link) -> Values | None:
+        """GPS_GLOBAL_ORIGIN: where local (0, 0, 0) is, once known."""
+        o = self.origin
+        if not self.autopilot.home_known:
+            return None
+        place = (round(o.latitude_deg * 1e7), round(o.longitude_deg * 1e7), round(o.altitude_m * 1000))
+        return (*place, self.autopilot.time_us)
+
+    def local_position_ned(self, link: Link) -> Values | None:
+        """LOCAL_POSITION_NED, once and as long as there is a position."""
+        core = self.autopilot.core
+        if not self.autopilot.position_known:
+            return None
+        return (core.time_us // 1000, *core.position_ned.tolist(), *core.velocity_ned.tolist())
+
+    def global_position_int(self, link: Link) -> Values:
+        """GLOBAL_POSITION_INT; zeros before there is a home."""
+        a = self.autopilot
+        heading = round(math.degrees(a.core.yaw) % 360.0 * 100) % 36000
+        if not a.home_known:
+            return (a.time_us // 1000, 0, 0, 0, 0, 0, 0, 0, heading)
+        x, y, z = a.core.position_ned.tolist()
+        vx, vy, vz = (_int16(100.0 * value) for value in a.core.velocity_ned.tolist())
+        latitude, longitude = self.origin.globe_e7(x, y)
+        above_home = round((float(a.home_ned[2]) - z) * 1000)
+        altitude = round(self.altitude_of(z) * 1000)
+        return (a.time_us // 1000, latitude, longitude, altitude, above_home, vx, vy, vz, heading)
+
+    def gps_raw_int(self, link: Link) -> Values:
+        """GPS_RAW_INT: a simulated receiver, found some seconds after boot."""
+        a = self.autopilot
+        if not a.gps_found:
+            return (0, 0, 0, 0, 65535, 65535, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)
+        x, y, z = a.core.position_ned.tolist()
+        vx, vy, _ = a.core.velocity_ned.tolist()
+        latitude, longitude = self.origin.globe_e7(x, y)
+        altitude = round(self.altitude_of(z) * 1000)
+        course = round(math.degrees(math.atan2(vy, vx)) % 360.0 * 100) % 36000
+        speed = min(round(100.0 * math.hypot(vx, vy)), 65534)
+        head = (a.time_us, latitude, longitude, altitude, 121, 200, speed, course, 6, 10)
+        return (*head, altitude, 300, 300, 40, 0, 0)
+
+    def scaled_pressure(self, link: Link) -> Values:
+        """SCALED_PRESSURE of the standard atmosphere."""
+        return (self.autopilot.time_us // 1000, self._pressure_hpa(), 0.0, 3500, 0)
+
+    def _pressure_hpa(self) -> float:
+        altitude = self.altitude_of(float(self.autopilot.core.position_ned[2]))
+        return 1013.25 * float((1.0 - 2.25577e-5 * altitude) ** 5.25588)
+
+    def vfr_hud(self, link: Link) -> Values:
+        """VFR_HUD."""
+        a = self.autopilot
+        vx, vy, vz = a.core.velocity_ned.tolist()
+        throttle = round(100.0 * float(a.core.memory[at.THROTTLE_OUT])) if a.armed else 0
+        altitude = self.altitude_of(float(a.core.position_ned[2])) if a.home_known else 0.0
+        speed = math.hypot(vx, vy)
+        return (speed, speed, altitude, -vz, int(math.degrees(a.core.yaw) % 360.0), throttle)
+
+    # --- motion ------------------------------------------------------------------------------------------------
+    def attitude(self, link: Link) -> Values:
+        """ATTITUDE: Euler angles of the estimate."""
+        core = self.autopilot.core
+        w, x, y, z = core.quaternion.tolist()
+        roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+        pitch = math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0))
+        yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        return (core.time_us // 1000, roll, pitch, yaw, *self._gyro())
+
+    def _gyro(self) -> list[float]:
+        """Body rates as ArduPilot reports them: after INS_GYRO_FILTER."""
+        x, y, z = self.autopilot.core.memory[at.GYRO : at.GYRO + 3].tolist()
+        return [x, y, z]
+
+    def attitude_quaternion(self, link: Link) -> Values:
+        """ATTITUDE_QUATERNION."""
+        core = self.autopilot.core
+        return (core.time_us // 1000, *core.quaternion.tolist(), *self._gyro(), 0.0, 0.0, 0.0, 0.0)
+
+    def highres_imu(self, link: Link) -> Values:
+        """HIGHRES_IMU."""
+        core = self.autopilot.core
+        force = core.specific_force_frd.tolist()
+        field = (232173.19, 52737.5, -528911.69)
+        return (core.time_us, *force, *self._gyro(), *field, self._pressure_hpa(), 0.0, 0.0, 26.5, 0, 0)
+
+    def sim_state(self, link: Link) -> Values:
+        """SIM_STATE: the truth, without a time stamp. Latitude and longitude resolve 1.1 cm in their integer fields."""
+        s = self.autopilot.core.state
+        q = s[body.QUATERNION_WXYZ].tolist()
+        x, y, z = s[body.POSITION_NED].tolist()
+        latitude, longitude = self.origin.globe_e7(x, y)
+        angles = self._true_angles()
+        motion = (*s[body.SPECIFIC_FORCE_FRD].tolist(), *s[body.BODY_RATE_FRD].tolist())
+        head = (*q, *angles, *motion, float(latitude), float(longitude), self.altitude_of(z), 0.0, 0.0)
+        return (*head, *s[body.VELOCITY_NED].tolist(), latitude, longitude)
+
+    def simstate(self, link: Link) -> Values:
+        """SIMSTATE: the truth in Euler angles."""
+        s = self.autopilot.core.state
+        x, y, _ = s[body.POSITION_NED].tolist()
+        latitude, longitude = self.origin.globe_e7(x, y)
+        motion = (*s[body.SPECIFIC_FORCE_FRD].tolist(), *s[body.BODY_RATE_FRD].tolist())
+        return (*self._true_angles(), *motion, latitude, longitude)
+
+    def _true_angles(self) -> tuple[float, float, float]:
+        w, x, y, z = self.autopilot.core.state[body.QUATERNION_WXYZ].tolist()
+        return (
+            math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+            math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0)),
+            math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
+        )
+
+    # --- targets and outputs -----------------------------------------------------------------------------------
+    def attitude_target(self, link: Link) -> Values:
+        """ATTITUDE_TARGET: the shaped target the loops follow, and the throttle before angle boost."""
+        a = self.autopilot
+        thrust = float(a.core.memory[at.THROTTLE_IN])
+        return (
+            a.time_us // 1000,
+            *a.core.target_quaternion.tolist(),
+            *a.core.target_rates.tolist(),
+            thrust,
+            0,
+        )
+
+    def position_target_local_ned(self, link: Link) -> Values | None:
+        """POSITION_TARGET_LOCAL_NED: what GUIDED was asked for; silent elsewhere and with attitude targets."""
+        a = self.autopilot
+        target = a.guided.target
+        if not a.mode.value.takes_targets or target is Target.ANGLE:
+            return None
+        s = a.core.setpoint
+        mask = 0b110000000000
+        zero = [0.0, 0.0, 0.0]
+        position, velocity, acceleration = zero, zero, zero
+        if target in (Target.POSITION, Target.TRAJECTORY, Target.TAKE_OFF):
+            position = s[at.POSITION : at.POSITION + 3].tolist()
+        else:
+            mask |= 0b111
+        if target in (Target.TRAJECTORY, Target.VELOCITY):
+            velocity = s[at.VELOCITY : at.VELOCITY + 3].tolist()
+        else:
+            mask |= 0b111000
+        if target in (Target.TRAJECTORY, Target.VELOCITY, Target.ACCELERATION):
+            acceleration = s[at.ACCELERATION : at.ACCELERATION + 3].tolist()
+        else:
+            mask |= 0b111000000
+        vectors = [number for n, e, up in (position, velocity, acceleration) for number in (n, e, -up)]
+        return (a.time_us // 1000, *vectors, 0.0, 0.0, mask, 1)
+
+    def position_target_global_int(self, link: Link) -> Values | None:
+        """POSITION_TARGET_GLOBAL_INT while a place is flown to."""
+        a = self.autopilot
+        s = a.core.setpoint
+        if not a.armed or s[at.LATERAL] != at.LATERAL_POSITION or s[at.NE_KIND] > at.KIND_TRAJECTORY:
+            return None
+        latitude, longitude = self.origin.globe_e7(float(s[at.POSITION]), float(s[at.POSITION + 1]))
+        altitude = self.origin.altitude_m + float(s[at.POSITION + 2])
+        zeros = (0.0,) * 8
+        return (a.time_us // 1000, latitude, longitude, altitude, *zeros, 0xFDF8, 0)
+
+    def servo_output_raw(self, link: Link) -> Values:
+        """SERVO_OUTPUT_RAW: MOT_PWM_MIN..MAX in µs; unused outputs are zero."""
+        a = self.autopilot
+        p, core = a.parameters, a.core
+        least, most = p["MOT_PWM_MIN"], p["MOT_PWM_MAX"]
+        outputs = [0] * 16
+        for i, value in enumerate(
+            core.memory[at.ACTUATORS : at.ACTUATORS + core.vehicle.rotor_count].tolist()
+        ):
+            outputs[i] = round(least + (most - least) * value)
+        return (a.time_us & 0xFFFFFFFF, *outputs[:8], 0, *outputs[8:])
+
+    def rc_channels(self, link: Link) -> Values:
+        """RC_CHANNELS: eight channels; the throttle is down unless somebody moves it."""
+        a = self.autopilot
+        sticks = a.flight.sticks
+        first = [
+            round(1500 + 500 * sticks.roll),
+            round(1500 + 500 * sticks.pitch),
+            round(1000 + 1000 * sticks.throttle),
+            round(1500 + 500 * sticks.yaw),
+        ]
+        return (a.time_us // 1000, *first, 1800, 1000, 1000, 1800, *([0] * 10), 8, 255)
+
+    # --- on request --------------------------------------------------------------------------------------------
+    def autopilot_version(self, link: Link) -> Values:
+        """AUTOPILOT_VERSION 4.7.0."""
+        head = (CAPABILITIES, 0, FLIGHT_SW_VERSION, 0, 0, 0, 0, 0)
+        uid2 = struct.pack("<18s", BOARD_UID)
+        return (*head, *GIT_HASH, *bytes(8), *bytes(8), *uid2)
