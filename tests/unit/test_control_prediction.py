@@ -45,7 +45,6 @@ def test_prediction_is_where_the_vehicle_gets_to(level, dead_time):
         drag=np.zeros(3),
         rotational_drag=np.zeros(3),
     )
-    plant.damping = 0.62
     predictor._mass = plant.mass  # what has been carried, settled
     guesses, straight, truths = {}, {}, {}
     for k in range(200):
