@@ -145,6 +145,7 @@ class Predictor:
         self.link_delay_s = (
             0.0  # one way to the autopilot, s, as measured; 0 where it is within the dead time
         )
+        self._warm_up()
 
     @property
     def delay_s(self) -> float:
