@@ -7,6 +7,7 @@ setpoint is encoded. It holds no connection and sends nothing: it answers questi
 from __future__ import annotations
 
 import enum
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -22,6 +23,12 @@ TYPE_MASK_ATTITUDE = (
     | mav.ATTITUDE_TARGET_TYPEMASK_BODY_YAW_RATE_IGNORE
 )  # 7: attitude and thrust count. Mask 0 (everything counts) is a trap on both autopilots.
 TYPE_MASK_BODY_RATE = mav.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE  # 128: body rates and thrust count
+
+_VITAL_SENSORS = (
+    mav.MAV_SYS_STATUS_SENSOR_3D_GYRO | mav.MAV_SYS_STATUS_SENSOR_3D_ACCEL | mav.MAV_SYS_STATUS_AHRS
+)
+_ESTIMATOR_RATIOS = ("vel_ratio", "pos_horiz_ratio", "pos_vert_ratio", "mag_ratio", "hagl_ratio")
+_EKF_VARIANCES = ("velocity_variance", "pos_horiz_variance", "pos_vert_variance", "compass_variance")
 
 
 class Verdict(enum.Enum):
@@ -66,6 +73,10 @@ class VehicleStatus:
     landed_state: int = mav.MAV_LANDED_STATE_UNDEFINED
     prearm_ok: bool | None = None
     estimator_flags: int | None = None
+    innovation_ratio: float | None = None  # the largest the estimator tells; above 1 it rejects a measurement
+    sensors_unhealthy: float | None = (
+        None  # of gyroscope, accelerometer and attitude estimate: enabled, not healthy
+    )
     battery_remaining: float | None = None  # 0..1
     battery_voltage_v: float | None = None
     global_origin: tuple[float, float, float] | None = None  # latitude °, longitude °, altitude m
@@ -77,12 +88,16 @@ class VehicleStatus:
         if kind == mav.MAVLINK_MSG_ID_HEARTBEAT:
             self.custom_mode = message.custom_mode
             self.armed = bool(message.base_mode & mav.MAV_MODE_FLAG_SAFETY_ARMED)
+        elif kind == mav.MAVLINK_MSG_ID_CURRENT_MODE:  # several times a second, where HEARTBEAT comes once
+            self.custom_mode = message.custom_mode
         elif kind == mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE:
             self.landed_state = message.landed_state
         elif kind == mav.MAVLINK_MSG_ID_SYS_STATUS:
             present = message.onboard_control_sensors_present & mav.MAV_SYS_STATUS_PREARM_CHECK
             healthy = message.onboard_control_sensors_health & mav.MAV_SYS_STATUS_PREARM_CHECK
             self.prearm_ok = bool(healthy) if present else None
+            sick = message.onboard_control_sensors_enabled & ~message.onboard_control_sensors_health
+            self.sensors_unhealthy = float((sick & _VITAL_SENSORS).bit_count())
             self.battery_remaining = (
                 message.battery_remaining / 100.0 if message.battery_remaining >= 0 else None
             )
@@ -91,6 +106,9 @@ class VehicleStatus:
             )
         elif kind in (mav.MAVLINK_MSG_ID_ESTIMATOR_STATUS, mav.MAVLINK_MSG_ID_EKF_STATUS_REPORT):
             self.estimator_flags = message.flags  # the low bits mean the same in both messages
+            names = _ESTIMATOR_RATIOS if kind == mav.MAVLINK_MSG_ID_ESTIMATOR_STATUS else _EKF_VARIANCES
+            ratios = [float(getattr(message, name)) for name in names]
+            self.innovation_ratio = max((ratio for ratio in ratios if math.isfinite(ratio)), default=None)
         elif kind == mav.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN:
             self.global_origin = (message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3)
         elif kind == mav.MAVLINK_MSG_ID_STATUSTEXT:
@@ -208,3 +226,5 @@ def attitude_target(
 
 ARM = Command(mav.MAV_CMD_COMPONENT_ARM_DISARM, (1.0,), "arm")
 DISARM = Command(mav.MAV_CMD_COMPONENT_ARM_DISARM, (0.0,), "disarm")
+STOP_MOTORS = Command(mav.MAV_CMD_COMPONENT_ARM_DISARM, (0.0, 21196.0), "disarm in flight")
+"""21196 is the magic number that makes both autopilots disarm in the air."""

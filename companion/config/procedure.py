@@ -7,27 +7,6 @@ from pydantic import Field
 from companion.config.model import NotNegative, Positive, SettingsModel
 
 
-class SafetyLimits(SettingsModel):
-    """Limits of the supervisor; each ends our control and lets the autopilot land."""
-
-    tilt_deg: float = Field(default=50.0, ge=5.0, le=80.0)
-    """Tilt of the vehicle."""
-    tilt_duration_s: NotNegative = 0.3
-    """For how long the tilt may be exceeded, s."""
-    position_error_m: Positive = 1.5
-    """Distance from the reference, m."""
-    position_error_duration_s: NotNegative = 0.5
-    """For how long the distance may be exceeded, s."""
-    fence_radius_m: Positive = 30.0
-    """Horizontal distance from the place of take-off, m."""
-    fence_height_m: Positive = 20.0
-    """Height above the place of take-off, m."""
-    position_age_s: float = Field(default=0.4, gt=0.0, le=0.5)
-    """Age of the newest position message, s; from half of it on the adaptation is frozen."""
-    silence_s: Positive = 3.0
-    """Silence of the whole link, on our clock, before it is given up, s."""
-
-
 class Procedure(SettingsModel):
     """Waiting times, lift-off, and the way to the trajectory and back."""
 

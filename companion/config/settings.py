@@ -12,8 +12,9 @@ from companion.config.errors import UserError
 from companion.config.gains import ControllerGains
 from companion.config.load import apply_overrides, find_profile, nearest, parse_override, read_toml, validated
 from companion.config.model import Positive, SettingsModel
-from companion.config.procedure import Procedure, SafetyLimits
+from companion.config.procedure import Procedure
 from companion.config.profile import LevelName, VehicleProfile
+from companion.config.safety import SafetyLimits
 from companion.control.structs import ControlLevel
 
 DEFAULT_RATE_HZ: dict[LevelName, float] = {"attitude": 100.0, "body_rate": 200.0, "actuator": 250.0}
@@ -42,7 +43,7 @@ class FlightSettings(SettingsModel):
     procedure: Procedure = Procedure()
     """Waiting times, lift-off, the way to the trajectory and back."""
     safety: SafetyLimits = SafetyLimits()
-    """What ends the flight."""
+    """What the supervisor watches, and what it does."""
 
     @property
     def rate_hz(self) -> float:

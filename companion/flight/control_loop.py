@@ -1,7 +1,8 @@
 """The control loop: one state in, one setpoint out, everything logged. Driven by the arrival of states.
 
 What it does with a state depends on its `activity`: send idle setpoints, raise the thrust until the vehicle lifts off,
-or let the control law follow the plan.
+or let the control law follow the plan. The supervisor sees every state before the law does, and nothing goes out but
+through the gate.
 """
 
 from __future__ import annotations
@@ -10,23 +11,35 @@ import enum
 import math
 import time
 from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from companion.autopilot.adapter import TYPE_MASK_ATTITUDE, attitude_target
+from companion.autopilot.hover_thrust import HoverThrustEstimator
 from companion.autopilot.thrust import ThrustScale
+from companion.config.safety import Reaction
 from companion.config.settings import FlightSettings
 from companion.control.law import ControlLaw, StepRefused, pack_input
-from companion.control.packing import Memory
+from companion.control.packing import Memory, Terms
 from companion.control.prediction import Predictor
-from companion.control.structs import AdaptationGate, ControlLevel, Reference, Setpoint, Vector, VehicleState
-from companion.flight.outcome import Aborted
-from companion.flight.plan import FlightPlan, tracking_time
+from companion.control.structs import ControlLevel, Reference, Setpoint, Vector, VehicleState
+from companion.flight.fallback import without_networks
+from companion.flight.outcome import Aborted, ending
+from companion.flight.plan import FlightPlan, stopping_plan, tracking_time
+from companion.flight.realtime import LoopWatchdog
 from companion.flight.recorder import Recorder
-from companion.flight.supervisor import Reaction, Supervisor
+from companion.flight.setpoint_gate import SetpointGate
+from companion.flight.supervisor import Judgement, Sight, Supervisor, tilt_of
 from companion.flight.vehicle import Vehicle
+from companion.mavlink.link import Message
+from companion.reference.transit import TransitLimits
 
 LONGEST_STEP = 5.0  # control periods; after a longer gap the law steps this far only
+ABSENT_AFTER = 5.0  # control periods without a state from which on the supervisor is asked without one
+RESTART_S = 1.0  # a clock that steps back further was started anew
+OVERRUN_WINDOW_S = 1.0
 
 
 class Activity(enum.Enum):
@@ -42,6 +55,17 @@ class Activity(enum.Enum):
     """The control law follows the plan."""
 
 
+@dataclass(frozen=True, slots=True)
+class Watching:
+    """Who watches a flight from lift-off on, and what is allowed for coming to rest."""
+
+    supervisor: Supervisor
+    watchdog: LoopWatchdog
+    transit_limits: TransitLimits
+    real_time: bool  # the autopilot's clock runs like ours, so ours may be used for decisions
+    announce: Callable[[str], None]  # a line for the pilot
+
+
 class ControlLoop:
     """See the module. `plan_time_s` is the time since the plan began, by the newest state."""
 
@@ -51,29 +75,46 @@ class ControlLoop:
         law: ControlLaw,
         predictor: Predictor,
         thrust: ThrustScale,
+        hover: HoverThrustEstimator,
         settings: FlightSettings,
         recorder: Recorder,
+        gate: SetpointGate,
     ) -> None:
         self._vehicle = vehicle
         self._law = law
         self._predictor = predictor
         self._thrust = thrust
+        self._hover = hover
         self._settings = settings
         self._recorder = recorder
         self._memory: Memory = law.initial_memory()
         self._plan: FlightPlan | None = None
-        self._supervisor: Supervisor | None = None
+        self._watching: Watching | None = None
+        self._gate = gate
+        self._reaction = Reaction.NONE
+        self._terms: Terms | None = None
+        self._shift_enu: Vector = np.zeros(3)  # of the plan, by estimator resets
+        self._shift_yaw_rad = 0.0
+        self._jump_enu: Vector = np.zeros(3)  # not yet shown to the supervisor
+        self._refused = 0  # setpoints in a row
+        self._overrun_share = 0.0
+        self._last_state_s = -math.inf
+        self._last_sent_s = -math.inf
+        self._asked_quaternion: Vector = np.array([1.0, 0.0, 0.0, 0.0])
+        self._asked_thrust_newton = 0.0
         self._plan_started_s = 0.0
         self._last_step_s = -math.inf
         self._last_wall_ns = 0
         self._level_quaternion: Vector = np.array([1.0, 0.0, 0.0, 0.0])
         self._lift_off_started_s = 0.0
         self._flags = 0
+        self._velocity_time_s = -math.inf
         self.period_s = 1.0 / settings.rate_hz
         self.activity = Activity.NOTHING
         self.lift_off_thrust = 0.0  # normalised, as last sent while lifting off
         self.position_error_enu: Vector = np.zeros(3)
         self.counters: Counter[str] = Counter()
+        self.held = ""  # why the plan was left for a hold; empty while it is followed
 
     @property
     def hover_thrust(self) -> float:
@@ -84,6 +125,11 @@ class ControlLoop:
     def state_delay_s(self) -> float:
         """By how much states are predicted ahead."""
         return self._predictor.delay_s
+
+    @property
+    def law(self) -> ControlLaw:
+        """The law that flies."""
+        return self._law
 
     @property
     def plan_time_s(self) -> float:
@@ -98,14 +144,19 @@ class ControlLoop:
         self._level_quaternion = quaternion_wxyz
         self.activity = Activity.IDLE
 
-    def lift_off(self, now_s: float, spool_time_s: float) -> None:
+    def lift_off(self, now_s: float, spool_time_s: float, watching: Watching) -> None:
         """Begin to raise the thrust; it starts to rise once the motors can turn (`spool_time_s` after arming)."""
         self._lift_off_started_s = now_s + spool_time_s
+        self._watching = watching
+        self._last_sent_s = now_s
+        self._jump_enu = np.zeros(3)
         self.activity = Activity.LIFT_OFF
 
-    def follow(self, plan: FlightPlan, supervisor: Supervisor, state: VehicleState) -> None:
+    def follow(self, plan: FlightPlan, state: VehicleState) -> None:
         """Hand over to the control law, without a bump, at `state`."""
-        self._plan, self._supervisor, self._plan_started_s = plan, supervisor, state.time_s
+        self._plan, self._plan_started_s = plan, state.time_s
+        self._shift_enu, self._shift_yaw_rad = np.zeros(3), 0.0
+        self._jump_enu = np.zeros(3)
         self._memory = self._law.take_over(
             self._memory,
             state,
@@ -126,18 +177,22 @@ class ControlLoop:
         """Answer one state.
 
         Raises:
-            Aborted: when the supervisor ends the flight, or the law cannot answer.
+            FlightEnd: when the supervisor ends the flight, or the law cannot answer.
         """
         started_ns = time.perf_counter_ns()
         age_s = max(0.0, state.time_s - self._vehicle.assembler.position_time_s)
         self._recorder.state(state, age_s)
+        gap_s, self._last_state_s = state.time_s - self._last_state_s, state.time_s
+        if gap_s < -RESTART_S:
+            raise Aborted("the autopilot's clock started again: it has restarted")
+        self._jump_enu = self._jump_enu + self._vehicle.assembler.take_jump()
         if self.activity is Activity.NOTHING or state.time_s - self._last_step_s < 0.5 * self.period_s:
             return
         law_s = 0.0
         if self.activity is Activity.FOLLOW:
-            law_s = self._follow(state, age_s)
+            law_s = self._follow(state, gap_s, age_s)
         elif self.activity is Activity.LIFT_OFF:
-            self._send_level(state, self._lift_off_thrust(state.time_s))
+            self._lift(state, gap_s, age_s)
         else:
             self._send_level(state, 0.0)
         self._last_step_s = state.time_s
@@ -145,47 +200,163 @@ class ControlLoop:
         period_s = (started_ns - self._last_wall_ns) * 1e-9 if self._last_wall_ns else math.nan
         self._last_wall_ns = started_ns
         compute_s = (ended_ns - started_ns) * 1e-9
-        if compute_s > self.period_s:
+        overrun = compute_s > self.period_s
+        if overrun:
             self.counters["overruns"] += 1
+        self._overrun_share += min(1.0, self.period_s / OVERRUN_WINDOW_S) * (overrun - self._overrun_share)
         self._recorder.timing(state.time_s, period_s, compute_s, law_s)
 
-    def _follow(self, state: VehicleState, age_s: float) -> float:
-        assert self._plan is not None and self._supervisor is not None
-        now_s = state.time_s - self._plan_started_s
-        reference = self._plan.sample(now_s)
+    def check_absence(self) -> None:
+        """Look at the autopilot's time going on without states; called for every message, and while there is none.
+
+        Raises:
+            FlightEnd: when the supervisor ends the flight.
+        """
+        if self.activity not in (Activity.FOLLOW, Activity.LIFT_OFF):
+            return
+        now_s = self._vehicle.link.autopilot_time_s
+        gap_s = now_s - self._last_state_s
+        if gap_s < ABSENT_AFTER * self.period_s:
+            return
+        assert self._watching is not None
+        age_s = now_s - self._vehicle.assembler.position_time_s
+        self._react(self._watching.supervisor.judge_absence(now_s, gap_s, age_s), now_s)
+
+    def _follow(self, state: VehicleState, gap_s: float, age_s: float) -> float:
+        assert self._plan is not None
+        if np.any(self._jump_enu):  # the world was moved, not the vehicle: the plan goes with it
+            self._shift_enu = self._shift_enu + self._jump_enu
+        reference = self._sample(state.time_s)
+        judgement = self._judge(state, reference, gap_s, age_s)
+        if judgement.yaw_jump_rad:
+            self._shift_yaw_rad += judgement.yaw_jump_rad
+        self._react(judgement, state.time_s)
+        reference = self._sample(state.time_s)
         self.position_error_enu = reference.position_enu - state.position_enu
-        judgement = self._supervisor.judge(state, reference, age_s)
-        if judgement.reaction is Reaction.LAND:
-            raise Aborted(judgement.reason)
-        gate = AdaptationGate.FREEZE if judgement.reaction is Reaction.FREEZE else AdaptationGate.RUN
         dt_s = min(state.time_s - self._last_step_s, LONGEST_STEP * self.period_s)
         law_ns = time.perf_counter_ns()
         ahead = self._predictor.predict(state)
-        inputs = pack_input(ahead, self._plan.sample(now_s + ahead.time_s - state.time_s), dt_s, gate)
+        inputs = pack_input(ahead, self._sample(ahead.time_s), dt_s, judgement.gate)
         try:
             result = self._law.step_packed(self._memory, inputs)
         except StepRefused as error:
             raise Aborted(f"the control law has no answer: {error}") from error
         law_s = (time.perf_counter_ns() - law_ns) * 1e-9
-        memory, self._memory = self._memory, result.memory
-        self._send(state.time_s, result.setpoint, result.terms.values["rotor_thrust"])
-        self._recorder.reference(state.time_s, reference, tracking_time(self._plan, now_s))
+        memory = self._memory
+        if self._send(state.time_s, result.setpoint, result.terms.values["rotor_thrust"]):
+            self._memory, self._terms = result.memory, result.terms
+        self._recorder.reference(
+            state.time_s, reference, tracking_time(self._plan, state.time_s - self._plan_started_s)
+        )
         self._recorder.step(state.time_s, memory, inputs, result)
         self._note_bounds(result.terms.flags)
         return law_s
 
-    def _send(self, time_s: float, setpoint: Setpoint, rotor_thrust: Vector) -> None:
+    def _lift(self, state: VehicleState, gap_s: float, age_s: float) -> None:
+        limit_deg = self._settings.safety.lift_off_tilt_deg
+        tilt_deg = math.degrees(tilt_of(state.quaternion_wxyz))
+        if not tilt_deg <= limit_deg:
+            raise Aborted(f"tipping over at lift-off: tilt {tilt_deg:.0f}°, limit {limit_deg:g}°")
+        reference = at_rest(state.position_enu, yaw_of(self._level_quaternion))
+        judgement = self._judge(state, reference, gap_s, age_s, lifting_off=True)
+        if judgement.reaction >= Reaction.HOLD:
+            raise Aborted(judgement.reason)
+        self._react(judgement, state.time_s)
+        self._send_level(state, self._lift_off_thrust(state.time_s))
+
+    def _sample(self, time_s: float) -> Reference:
+        """The plan at the autopilot's time, moved along with the estimator's frame."""
+        assert self._plan is not None
+        reference = self._plan.sample(time_s - self._plan_started_s)
+        if self._shift_yaw_rad or np.any(self._shift_enu):
+            return replace(
+                reference,
+                position_enu=reference.position_enu + self._shift_enu,
+                yaw_rad=reference.yaw_rad + self._shift_yaw_rad,
+            )
+        return reference
+
+    # The supervisor's word ------------------------------------------------------------------------------
+
+    def _judge(
+        self, state: VehicleState, reference: Reference, gap_s: float, age_s: float, lifting_off: bool = False
+    ) -> Judgement:
+        watching = self._watching
+        assert watching is not None
+        jump, self._jump_enu = self._jump_enu, np.zeros(3)
+        if np.any(jump):
+            watching.supervisor.move_home(jump)
+        if watching.real_time:
+            late_s = self._vehicle.link.timesync.autopilot_time_s(time.monotonic()) - state.time_s
+            gap_s = max(gap_s, late_s) if math.isfinite(late_s) else gap_s
+        sight = Sight(
+            reference=reference,
+            attitude_age_s=gap_s,
+            position_age_s=age_s,
+            position_time_s=self._vehicle.assembler.position_time_s,
+            jump_enu=jump,
+            asked_quaternion=self._asked_quaternion,
+            asked_thrust_newton=self._asked_thrust_newton,
+            terms=self._terms,
+            refused_setpoints=self._refused,
+            setpoint_gap_s=state.time_s - self._last_sent_s,
+            overrun_share=self._overrun_share,
+        )
+        return watching.supervisor.judge(state, sight, lifting_off)
+
+    def _react(self, judgement: Judgement, time_s: float) -> None:
+        """Log what began or ended, and do what the reaction asks for when it changes."""
+        watching = self._watching
+        assert watching is not None
+        for change in judgement.changes:
+            rung = change.rung
+            self._recorder.log.event(
+                "safety",
+                time_s,
+                reaction=rung.reaction.setting,
+                active=change.began,
+                quantity=rung.name,
+                value=change.value,
+                limit=rung.at,
+                unit=rung.unit,
+                lasted_s=change.lasted_s,
+            )
+            if change.began:
+                watching.announce(f"{rung.reaction.setting}: {rung.sentence(change.value)}")
+        reaction = judgement.reaction
+        if reaction is self._reaction:
+            return
+        before, self._reaction = self._reaction, reaction
+        self._recorder.log.event(
+            "safety", time_s, reaction=reaction.setting, before=before.setting, reason=judgement.reason
+        )
+        if reaction >= Reaction.LAND:
+            raise ending(reaction, judgement.reason)
+        if reaction is Reaction.NON_ADAPTIVE and self._terms is not None:
+            self._memory = without_networks(self._law, self._memory, self._terms)
+        if reaction is Reaction.HOLD and self._plan is not None:
+            stopping = self._plan.sample(time_s - self._plan_started_s)
+            self._plan = stopping_plan(stopping, watching.transit_limits, self._settings.safety.hold_s)
+            self._plan_started_s = time_s
+            self.held = judgement.reason
+
+    # Out ------------------------------------------------------------------------------------------------
+
+    def _send(self, time_s: float, setpoint: Setpoint, rotor_thrust: Vector) -> bool:
+        """Send what the law asks for, through the gate; False when it was refused there."""
         adapter, link = self._vehicle.adapter, self._vehicle.link
+        actuators = setpoint.level is ControlLevel.ACTUATOR
         thrust = self._thrust.normalised(setpoint.thrust_newton)
+        controls = self._thrust.controls(rotor_thrust) if actuators else None
+        if not self._fit(time_s, setpoint, thrust, controls):
+            return False
         target = link.target_system or 1
-        if setpoint.level is ControlLevel.ACTUATOR:
-            message = adapter.encode_actuators(time_s, self._thrust.controls(rotor_thrust), target)
+        if controls is not None:
+            message = adapter.encode_actuators(time_s, controls, target)
         else:
             message = adapter.encode(setpoint, time_s, thrust, target)
-        if not link.send(message):
-            self.counters["setpoints not sent"] += 1
-        self._predictor.sent(time_s, setpoint)
-        self._recorder.setpoint(time_s, setpoint, thrust)
+        self._post(time_s, message, setpoint, thrust)
+        return True
 
     def _send_level(self, state: VehicleState, thrust: float) -> None:
         setpoint = Setpoint(
@@ -195,19 +366,41 @@ class ControlLoop:
             np.zeros(3),
             np.zeros(3),
         )
-        link = self._vehicle.link
-        link.send(
-            attitude_target(
-                link.target_system or 1,
-                state.time_s,
-                TYPE_MASK_ATTITUDE,
-                self._level_quaternion,
-                setpoint.body_rate_flu,
-                thrust,
-            )
+        if not self._fit(state.time_s, setpoint, thrust, None):
+            return
+        message = attitude_target(
+            self._vehicle.link.target_system or 1,
+            state.time_s,
+            TYPE_MASK_ATTITUDE,
+            self._level_quaternion,
+            setpoint.body_rate_flu,
+            thrust,
         )
-        self._predictor.sent(state.time_s, setpoint)
-        self._recorder.setpoint(state.time_s, setpoint, thrust)
+        self._post(state.time_s, message, setpoint, thrust)
+
+    def _fit(self, time_s: float, setpoint: Setpoint, thrust: float, controls: Vector | None) -> bool:
+        refusal = self._gate.refusal(setpoint, thrust, controls)
+        if not refusal:
+            self._refused = 0
+            return True
+        self.counters["setpoints refused"] += 1
+        if self._refused == 0:
+            self._recorder.log.event("safety", time_s, reaction="setpoint refused", reason=refusal)
+        self._refused += 1
+        return False
+
+    def _post(self, time_s: float, message: Message, setpoint: Setpoint, thrust: float) -> None:
+        if self._watching is not None and self._watching.watchdog.tripped:
+            self.counters["setpoints withheld"] += 1  # made of a state from before the loop stood still
+            return
+        if self._vehicle.link.send(message):
+            self._last_sent_s = time_s
+        else:
+            self.counters["setpoints not sent"] += 1
+        self._asked_quaternion, self._asked_thrust_newton = setpoint.quaternion_wxyz, setpoint.thrust_newton
+        self._hover.sent(time_s, thrust)
+        self._predictor.sent(time_s, setpoint)
+        self._recorder.setpoint(time_s, setpoint, thrust)
 
     def _lift_off_thrust(self, time_s: float) -> float:
         settings = self._settings.procedure

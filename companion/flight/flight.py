@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from companion.autopilot.adapter import ARM, DISARM, Finding, Intent
+from companion.autopilot.adapter import ARM, DISARM, STOP_MOTORS, Finding, Intent
 from companion.config.errors import UserError
 from companion.config.settings import FlightSettings
 from companion.control.structs import ControlLevel, Reference
-from companion.flight.control_loop import ControlLoop, at_rest, level_with_heading, yaw_of
+from companion.flight.control_loop import ControlLoop, Watching, at_rest, level_with_heading, yaw_of
+from companion.flight.fence import require_inside
 from companion.flight.outcome import (
     Aborted,
     FlightEnd,
@@ -20,23 +22,27 @@ from companion.flight.outcome import (
     Interrupted,
     LeftFlying,
     LinkLost,
+    MotorsStopped,
     Outcome,
     PilotTookOver,
     Refused,
     WaitedTooLong,
 )
 from companion.flight.phases import Phase
+from companion.flight.pilot import Pilot
 from companion.flight.plan import FlightPlan, lay_out
 from companion.flight.preflight import Preflight, require
+from companion.flight.realtime import LoopWatchdog
 from companion.flight.recorder import Recorder
 from companion.flight.reporter import Reporter
-from companion.flight.supervisor import Supervisor
+from companion.flight.supervisor import Supervisor, law_bounds
 from companion.flight.vehicle import Vehicle
 from companion.mavlink.link import Message, mav
 from companion.reference.trajectory import Frame, Placed, Trajectory, place
 from companion.reference.transit import TransitLimits
 
 _PROGRESS_S = 1.0
+REAL_TIME_TOLERANCE = 0.01  # of the time passed: a lockstep simulation runs at any other speed
 _DISARM_TIMEOUT_S = 1.5  # until HEARTBEAT shows what a COMMAND_ACK has said
 
 
@@ -106,6 +112,12 @@ class Flight:
         self._plan: FlightPlan | None = None
         self._engaged = False  # our mode was confirmed and we count on it
         self._airborne = False
+        self._armed_by_now = False  # we count on it
+        self._pilot = Pilot(settings.safety.stick_share)
+        self._supervisor: Supervisor | None = None
+        self._watchdog = LoopWatchdog(settings.safety.stall_s, self._note_stall)
+        self._real_time = False
+        self._clocks_s = (0.0, 0.0)  # the autopilot's and ours, when it was ready
         self._answered_interrupts = 0
         self._announced_mode = -1
         self._announced_armed = False
@@ -137,6 +149,7 @@ class Flight:
 
     def _write_down(self, result: FlightResult) -> FlightResult:
         """The last acts of every flight: parameters as they were, and the last word in the log."""
+        self._watchdog.stop()
         self._put_parameters_back(result)
         self._recorder.log.event(
             "ended", self._vehicle.link.autopilot_time_s, outcome=result.outcome.value, text=result.text
@@ -165,6 +178,7 @@ class Flight:
         vehicle.on_state = self._loop.on_state
         waited_s = checks.wait_until_ready()
         reporter.say(f"ready after {waited_s:.1f} s")
+        self._clocks_s = (vehicle.link.autopilot_time_s, time.monotonic())
         self._report([*checks.link_findings(checks.measure()), *checks.vehicle_findings()])
 
     def _report(self, findings: list[Finding]) -> None:
@@ -179,6 +193,7 @@ class Flight:
         ground = self._ground()
         self._plan = self._lay_out(ground, ground)
         self._check_plan(self._plan, float(ground.position_enu[2]))
+        require_inside(settings.safety, self._plan, ground.position_enu)
         level = level_with_heading(ground.yaw_rad)
         self._enter(Phase.PROVE)
         loop.idle(level)
@@ -192,7 +207,7 @@ class Flight:
         self._enter(Phase.LIFT_OFF)
         assert vehicle.state is not None
         loop.idle(level_with_heading(ground.yaw_rad))
-        loop.lift_off(vehicle.state.time_s, vehicle.adapter.spool_time_s)
+        loop.lift_off(vehicle.state.time_s, vehicle.adapter.spool_time_s, self._watch_over(ground))
         vehicle.until(lambda: self._left(ground), vehicle.adapter.spool_time_s + 15.0, "lift-off")
         self._airborne = True
         state = vehicle.state
@@ -215,7 +230,37 @@ class Flight:
             heading_rad=where.heading_rad if where is not None else 0.0,
             origin_enu=where.origin_enu.tolist() if where is not None else [0.0, 0.0, 0.0],
         )
-        loop.follow(self._plan, Supervisor(settings.safety, ground.position_enu), state)
+        loop.follow(self._plan, state)
+
+    def _watch_over(self, ground: Reference) -> Watching:
+        """Supervisor and watchdog, from lift-off on."""
+        vehicle, link, settings = self._vehicle, self._vehicle.link, self._settings
+        autopilot_s = link.autopilot_time_s - self._clocks_s[0]
+        ours_s = time.monotonic() - self._clocks_s[1]
+        self._real_time = link.timesync.steady and abs(autopilot_s - ours_s) < REAL_TIME_TOLERANCE * ours_s
+        self._supervisor = Supervisor(
+            settings.safety,
+            law_bounds(self._loop.law),
+            ground.position_enu,
+            vehicle.status,
+            link,
+            self._real_time,
+        )
+        if self._real_time:
+            self._watchdog.start()
+        return Watching(
+            self._supervisor,
+            self._watchdog,
+            self._transit_limits(float(ground.position_enu[2])),
+            self._real_time,
+            self._reporter.say,
+        )
+
+    def _note_stall(self, still_s: float) -> None:
+        """Called in the watchdog's thread, while the flight's own hangs."""
+        self._recorder.log.event(
+            "safety", self._vehicle.link.autopilot_time_s, reaction="loop stalled", value=still_s, unit="s"
+        )
 
     def _ground(self) -> Reference:
         state = self._vehicle.state
@@ -234,12 +279,7 @@ class Flight:
     def _lay_out(self, ground: Reference, start: Reference) -> FlightPlan:
         settings, request = self._settings, self._request
         trajectory = place(request.trajectory, request.frame, ground.position_enu, ground.yaw_rad)
-        limits = TransitLimits(
-            speed_m_s=settings.procedure.transit_speed_m_s,
-            acceleration_m_s2=settings.procedure.transit_acceleration_m_s2,
-            jerk_m_s3=settings.procedure.transit_jerk_m_s3,
-            height_min_m=float(ground.position_enu[2]) + 0.25,
-        )
+        limits = self._transit_limits(float(ground.position_enu[2]))
         return lay_out(
             start,
             trajectory,
@@ -247,6 +287,15 @@ class Flight:
             settings.procedure.hold_s,
             float(ground.position_enu[2]) + settings.takeoff_height_m,
             limits,
+        )
+
+    def _transit_limits(self, ground_m: float) -> TransitLimits:
+        procedure = self._settings.procedure
+        return TransitLimits(
+            speed_m_s=procedure.transit_speed_m_s,
+            acceleration_m_s2=procedure.transit_acceleration_m_s2,
+            jerk_m_s3=procedure.transit_jerk_m_s3,
+            height_min_m=ground_m + 0.25,
         )
 
     def _engage(self) -> None:
@@ -272,6 +321,7 @@ class Flight:
                     f"{vehicle.adapter.mode_name(vehicle.status.custom_mode)})" + self._vehicle.last_texts()
                 )
         self._engaged = True
+        self._pilot.sticks_are_at_rest()
 
     def _arm(self) -> None:
         vehicle = self._vehicle
@@ -280,14 +330,15 @@ class Flight:
             vehicle.until(
                 lambda: vehicle.status.armed, self._settings.procedure.pilot_timeout_s, "the pilot's arming"
             )
+            self._armed_by_now = True
             return
         result: int | None = None
         for _ in range(10):
-            if vehicle.status.armed:
-                return
-            result = vehicle.command(ARM)
+            if not vehicle.status.armed:
+                result = vehicle.command(ARM)
             try:
                 vehicle.until(lambda: vehicle.status.armed, 1.5)
+                self._armed_by_now = True
                 return
             except WaitedTooLong:
                 continue
@@ -305,9 +356,14 @@ class Flight:
             tracking = leg.phase is Phase.TRACK
             if tracking:
                 self._recorder.log.event("tracking", self._vehicle.link.autopilot_time_s, active=True)
-            self._vehicle.until(lambda end=leg.start_s + leg.duration_s: loop.plan_time_s >= end)  # type: ignore[misc]
+            end_s = leg.start_s + leg.duration_s
+            self._vehicle.until(lambda end_s=end_s: bool(loop.held) or loop.plan_time_s >= end_s)  # type: ignore[misc]
             if tracking:
                 self._recorder.log.event("tracking", self._vehicle.link.autopilot_time_s, active=False)
+            if loop.held:
+                self._enter(Phase.HOLD)
+                self._reporter.say(f"holding: {loop.held}")
+                self._vehicle.until(lambda: False)  # until the supervisor, the pilot or the user ends it
 
     def _land(self, why: str) -> None:
         """Let the autopilot land and wait until it has disarmed."""
@@ -346,7 +402,8 @@ class Flight:
     # Watching ------------------------------------------------------------------------------------------
 
     def _watch(self) -> None:
-        """Called before every message: the user's wish to stop, and the pilot's."""
+        """Called before every message, and while there is none: the user's wish to stop, and the pilot's."""
+        self._watchdog.beat()
         if self._interrupts.count > self._answered_interrupts:
             self._answered_interrupts = self._interrupts.count
             if self._interrupts.count > 1:
@@ -357,8 +414,17 @@ class Flight:
         vehicle = self._vehicle
         if not vehicle.adapter.is_mode(vehicle.status.custom_mode, Intent.EXTERNAL):
             raise PilotTookOver(f"mode is now {vehicle.adapter.mode_name(vehicle.status.custom_mode)}")
-        if self._airborne and not vehicle.status.armed:
-            raise PilotTookOver("disarmed in flight")
+        if self._armed_by_now and not vehicle.status.armed:
+            raise PilotTookOver("disarmed in flight" if self._airborne else "disarmed")
+        if moved := self._pilot.moved_sticks():
+            raise PilotTookOver(f"sticks moved: {moved}")
+        if self._watchdog.tripped:
+            stood_s = self._watchdog.longest_s
+            self._watchdog.reset()
+            raise Aborted(
+                f"the control loop stood still for {stood_s:.2f} s, limit {self._watchdog.limit_s:g} s"
+            )
+        self._loop.check_absence()
 
     def _on_message(self, message: Message) -> None:
         vehicle, log = self._vehicle, self._recorder.log
@@ -370,6 +436,8 @@ class Flight:
                 self._reporter.say(f"autopilot: {message.text}")
         elif kind == mav.MAVLINK_MSG_ID_COMMAND_ACK:
             log.event("ack", now_s, command=message.command, result=message.result)
+        elif kind == mav.MAVLINK_MSG_ID_RC_CHANNELS:
+            self._pilot.take(message)
         self._recorder.truth(message, vehicle.adapter, vehicle.status, now_s)
         status = vehicle.status
         if status.custom_mode != self._announced_mode:
@@ -388,6 +456,9 @@ class Flight:
             error_m = float(np.linalg.norm(self._loop.position_error_enu))
             time_s = self._loop.plan_time_s
             self._reporter.progress(self.phase, time_s, plan.duration_s, f"error {error_m * 100:.1f} cm")
+        if self._supervisor is not None:
+            self._supervisor.log_health = log_health = self._recorder.log.health
+            assert log_health is not None
         timesync = vehicle.link.timesync
         if hasattr(self, "_loop"):
             self._recorder.estimates(
@@ -433,7 +504,11 @@ class Flight:
             return FlightResult(end.outcome, f"{end}; landed and disarmed")
         if hasattr(self, "_loop"):
             self._loop.stop()
+        if isinstance(end, MotorsStopped):
+            return self._stop_motors(end)
         if isinstance(end, PilotTookOver):
+            if vehicle_is_ours(self._vehicle):  # sticks that do not change the mode by themselves
+                self._vehicle.commands.send(self._vehicle.adapter.mode(Intent.HOLD))
             self._enter(Phase.WATCH)
             self._reporter.say(f"{end.outcome.value}: {end}")
             self._reporter.say("no more setpoints; logging until the vehicle is disarmed (Ctrl-C ends it)")
@@ -470,6 +545,19 @@ class Flight:
         vehicle.command(vehicle.adapter.mode(Intent.HOLD))
         return FlightResult(end.outcome, str(end))
 
+    def _stop_motors(self, end: FlightEnd) -> FlightResult:
+        """Disarm in the air, which takes the autopilots' magic number; hand back where that is refused."""
+        vehicle = self._vehicle
+        result = vehicle.command(STOP_MOTORS)
+        try:
+            vehicle.until(lambda: not vehicle.status.armed, _DISARM_TIMEOUT_S)
+        except WaitedTooLong:
+            self._hand_back()
+            return FlightResult(
+                Outcome.HANDED_BACK, f"{end}; the autopilot would not disarm ({vehicle.result_word(result)})"
+            )
+        return FlightResult(end.outcome, f"{end}; motors stopped")
+
     def _hand_back(self) -> None:
         """One HOLD command, no waiting: what follows is the autopilot's."""
         if hasattr(self, "_loop"):
@@ -488,3 +576,8 @@ class Flight:
                     self._reporter.say(f"put {name} back to {value:g}")
                 else:
                     self._reporter.say(f"warning: could not put {name} back to {value:g}; do it by hand")
+
+
+def vehicle_is_ours(vehicle: Vehicle) -> bool:
+    """Whether the autopilot is still in the mode in which it follows our setpoints."""
+    return vehicle.adapter.is_mode(vehicle.status.custom_mode, Intent.EXTERNAL)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import enum
 
+from companion.config.safety import Reaction
+
 
 class Outcome(enum.Enum):
     """The last word on a flight. `exit_code` is the process's."""
@@ -19,7 +21,7 @@ class Outcome(enum.Enum):
     ABORTED = "aborted"
     """The supervisor ended the flight: landed by the autopilot."""
     HANDED_BACK = "handed back"
-    """A second Ctrl-C, or an autopilot that does not land: it has the vehicle, we are gone."""
+    """A second Ctrl-C, a limit, or an autopilot that does not land: it has the vehicle, we are gone."""
     LINK_LOST = "link lost"
     """The autopilot fell silent; what it does now is its own offboard-loss action."""
 
@@ -60,7 +62,7 @@ class Aborted(FlightEnd):
 
 
 class HandedBack(FlightEnd):
-    """A second Ctrl-C."""
+    """A second Ctrl-C, or a limit whose reaction is to hand back."""
 
     outcome = Outcome.HANDED_BACK
 
@@ -71,6 +73,12 @@ class LeftFlying(FlightEnd):
     outcome = Outcome.HANDED_BACK
 
 
+class MotorsStopped(FlightEnd):
+    """A limit whose configured reaction is to disarm, in the air too."""
+
+    outcome = Outcome.ABORTED
+
+
 class LinkLost(FlightEnd):
     """Nothing has been heard from the autopilot for too long."""
 
@@ -79,3 +87,13 @@ class LinkLost(FlightEnd):
 
 class WaitedTooLong(Exception):
     """A condition did not come true in time; the caller knows what that means."""
+
+
+def ending(reaction: Reaction, reason: str) -> FlightEnd:
+    """The end that a final reaction of the supervisor means. Raises KeyError for one that is not final."""
+    ends: dict[Reaction, type[FlightEnd]] = {
+        Reaction.LAND: Aborted,
+        Reaction.HAND_BACK: HandedBack,
+        Reaction.DISARM: MotorsStopped,
+    }
+    return ends[reaction](reason)

@@ -96,6 +96,19 @@ def lay_out(
     )
 
 
+def stopping_plan(now: Reference, limits: TransitLimits, hold_s: float) -> FlightPlan:
+    """From a moving reference to rest, then stand there: what the supervisor's HOLD flies. Takes about 1 ms to plan."""
+    leave = run_out(now, limits)
+    rest = leave.sample(leave.duration_s)
+    x_m, y_m, height_m = rest.position_enu.tolist()
+    return FlightPlan(
+        [
+            (Phase.RUN_OUT, leave, leave.duration_s),
+            (Phase.HOLD, Hold(x_m, y_m, height_m, rest.yaw_rad), hold_s),
+        ]
+    )
+
+
 def tracking_time(plan: FlightPlan, time_s: float) -> float:
     """Seconds since tracking began; nan while not tracking."""
     leg = plan.leg_at(time_s)

@@ -1,10 +1,16 @@
-"""What the operating system can do for a control thread, asked for before arming. What it refuses is said, not hidden."""
+"""What the operating system can do for a control thread, asked for before arming, and a watch over it from outside.
+
+What the system refuses is said, not hidden.
+"""
 
 from __future__ import annotations
 
 import ctypes
 import gc
 import os
+import threading
+import time
+from collections.abc import Callable
 
 FIFO_PRIORITY = 50
 _MCL_CURRENT_AND_FUTURE = 3
@@ -34,3 +40,52 @@ def freeze_collector() -> None:
     """Take all that is alive now out of the garbage collector's sight, so that no pass over it happens in flight."""
     gc.collect()
     gc.freeze()
+
+
+class LoopWatchdog:
+    """Notices from a thread of its own that the flight's thread has not come round for `limit_s` of our clock.
+
+    Our setpoints are sent by the flight's thread only, so a loop that hangs sends nothing and the autopilot's own
+    offboard-loss action follows. What is left to do is to say so while it hangs, and to see that what it had begun before
+    is not sent when it wakes: `tripped` stays set until the flight's thread has dealt with it (`reset`).
+    """
+
+    def __init__(self, limit_s: float, on_stall: Callable[[float], None]) -> None:
+        """`on_stall` is called in the watchdog's thread, once per stall, with its length so far in s."""
+        self.limit_s = limit_s
+        self.tripped = False
+        self.longest_s = 0.0
+        self._on_stall = on_stall
+        self._beat_s = time.monotonic()
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def start(self) -> None:
+        """Begin to watch."""
+        self.beat()
+        self._thread = threading.Thread(target=self._watch, name="loop watchdog", daemon=True)
+        self._thread.start()
+
+    def beat(self) -> None:
+        """The flight's thread has come round."""
+        now_s = time.monotonic()
+        self.longest_s = max(self.longest_s, now_s - self._beat_s)
+        self._beat_s = now_s
+
+    def reset(self) -> None:
+        """The flight's thread knows that it stood still."""
+        self.longest_s = 0.0
+        self.tripped = False
+
+    def stop(self) -> None:
+        """End the thread."""
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join()
+
+    def _watch(self) -> None:
+        while not self._stop.wait(self.limit_s / 10.0):
+            still_s = time.monotonic() - self._beat_s
+            if still_s > self.limit_s and not self.tripped:
+                self.tripped = True
+                self._on_stall(still_s)

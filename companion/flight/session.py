@@ -17,6 +17,7 @@ from types import FrameType
 import numpy as np
 
 from companion.autopilot.adapter import Finding
+from companion.autopilot.hover_thrust import HoverThrustEstimator
 from companion.autopilot.thrust import ThrustScale, mixer_of
 from companion.config.settings import Settings
 from companion.control.law import ControlLaw
@@ -32,6 +33,7 @@ from companion.flight.plan import FlightPlan
 from companion.flight.preflight import Preflight
 from companion.flight.recorder import Recorder
 from companion.flight.reporter import Reporter
+from companion.flight.setpoint_gate import SetpointGate
 from companion.flight.vehicle import Vehicle
 from companion.flightlog.writer import FlightLog
 from companion.mavlink.connection import Connection
@@ -182,7 +184,10 @@ def _control_loop(
     )
     recorder.log.metadata("parameters", vehicle.parameters.values)
     predictor = Predictor(profile, settings.level, adapter.profile_key)
-    return ControlLoop(vehicle, law, predictor, thrust, settings.flight, recorder)
+    gate = SetpointGate(np.radians(profile.limits.body_rate_max_deg_s))
+    response = profile.response(adapter.profile_key)
+    estimator = HoverThrustEstimator(hover, response.dead_time(settings.level), profile.rotors.lag_rad_s)
+    return ControlLoop(vehicle, law, predictor, thrust, estimator, settings.flight, recorder, gate)
 
 
 def _law(settings: Settings, autopilot: str | None) -> ControlLaw:
@@ -207,7 +212,7 @@ def _check_plan(settings: Settings, plan: FlightPlan, ground_m: float) -> None:
         body_rate_max_rad_s=tuple(rates.tolist()),
         angular_acceleration_max_rad_s2=tuple(acceleration.tolist()),
         height_min_m=ground_m + 0.1,
-        height_max_m=ground_m + settings.flight.safety.fence_height_m,
+        height_max_m=ground_m + settings.flight.safety.fence.height_max_m,
     )
     check_feasibility(leg.trajectory, limits, leg.duration_s).require(settings.flight.trajectory)
 
