@@ -20,8 +20,8 @@ EXAMPLE = """examples:
   companion tune --profile my_drone.toml --plant lagged --autopilot ardupilot --budget 300 --write my_drone.toml
   companion tune --level actuator --only-verify          how the profile's gains stand up, no search
 
-The search starts from the profile's gains. Ctrl-C ends it with the best so far; with --save FILE a later
-call goes on from there. Cost 1 is about the report's DTLANNC; see docs/tuning.md. Exit code 2: wrong input.
+The search starts from the same gentle gains for every law, or with --from-profile from the profile's.
+Ctrl-C ends it with the best so far; with --save FILE a later call goes on from there. Cost 1 is about the report's DTLANNC; see docs/tuning.md. Exit code 2: wrong input.
 """
 
 
@@ -62,6 +62,14 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--set", dest="overrides", action="append", default=[], metavar="KEY=VALUE", help="change the profile"
     )
+    parser.add_argument(
+        "--from-profile",
+        action="store_true",
+        help="start from the profile's gains, not from the standard ones",
+    )
+    parser.add_argument(
+        "--from-profile", action="store_true", help="start from the profile's gains, not the standard ones"
+    )
     parser.add_argument("--save", metavar="FILE", help="keep the best so far here, and go on from it")
     parser.add_argument(
         "--write", metavar="FILE", help="put the gains into this profile (TOML), marked [tuned]"
@@ -99,7 +107,14 @@ def run(arguments: argparse.Namespace) -> int:
     if not arguments.only_verify:
         save = Path(arguments.save) if arguments.save else None
         tuning = Tuning(
-            profile, arguments.controller, arguments.level, objective, start, arguments.seed, save
+            profile,
+            arguments.controller,
+            arguments.level,
+            objective,
+            start,
+            arguments.seed,
+            save,
+            arguments.from_profile,
         )
         print(
             f"{len(tuning.space)} numbers, {arguments.budget} sets of gains; compiling ...", file=sys.stderr
@@ -132,6 +147,8 @@ def _command(arguments: argparse.Namespace) -> str:
             words += [f"--{name}", Path(value).name if name == "profile" else value]
     if arguments.delay:
         words += ["--delay", f"{arguments.delay:g}"]
+    if arguments.from_profile:
+        words.append("--from-profile")
     for override in arguments.overrides:
         words += ["--set", override]
     return shlex.join([*words, "--budget", str(arguments.budget), "--seed", str(arguments.seed)])

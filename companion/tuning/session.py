@@ -61,6 +61,47 @@ def certified(loop: LoopGains) -> LoopGains:
     )
 
 
+STANDARD_START: dict[str, float] = {
+    "position_loop.K_e[0][1]": 1.5,
+    "position_loop.K_e[2]": 1.5,
+    "position_loop.K_U[0][1]": 1.12,
+    "position_loop.K_U[2]": 4.47,
+    "position_loop.K_i[0][1]": 0.39,
+    "position_loop.K_i[2]": 3.35,
+    "position_loop.alpha": 0.28,
+    "position_loop.boundary_width": 0.3,
+    "position_loop.N": 0.84,
+    "position_loop.kappa": 0.02,
+    "lead.feedback_s": 0.12,
+    "attitude_loop.K_e[0][1]": 6.0,
+    "attitude_loop.K_e[2]": 3.0,
+    "command_filter_rad_s": 12.0,
+    "attitude_loop.K_U[0][1]": 8.0,
+    "attitude_loop.K_U[2]": 4.0,
+    "lead.rotor_filter_s": 0.02,
+    "attitude_loop.K_i[0][1]": 8.0,
+    "attitude_loop.K_i[2]": 3.0,
+    "attitude_loop.alpha": 1.0,
+    "attitude_loop.boundary_width": 0.5,
+    "attitude_loop.N": 0.67,
+    "attitude_loop.kappa": 0.1,
+}
+"""Where searches begin, per kg or kg·m² where a parameter is counted so: gentle gains that fly, the same for every law
+and vehicle. A search from here is repeatable whatever has been written into the profile since."""
+
+
+def standard_start(space: tuple[Parameter, ...]) -> Vector:
+    """The point (n,) of `STANDARD_START` in a search space."""
+    out = np.empty(len(space))
+    for k, parameter in enumerate(space):
+        value = STANDARD_START[parameter.name]
+        if parameter.linear:
+            out[k] = (value - parameter.low) / (parameter.high - parameter.low)
+        else:
+            out[k] = math.log(value / parameter.low) / math.log(parameter.high / parameter.low)
+    return np.clip(out, 0.0, 1.0)
+
+
 class Tuning:
     """One controller at one level of one profile. Raises UserError for what cannot be tuned."""
 
@@ -73,6 +114,7 @@ class Tuning:
         start: ControllerGains,
         seed: int,
         save: Path | None = None,
+        from_profile: bool = False,
     ) -> None:
         entry = LAWS[controller]
         self.space: tuple[Parameter, ...] = search_space(
@@ -81,7 +123,7 @@ class Tuning:
         self._profile, self._start, self._objective = profile, start, objective
         self._has_network = entry.has_network
         self._save, self._about = save, {"controller": controller, "level": level, "profile": profile.name}
-        first = to_vector(self.space, start, profile)
+        first = to_vector(self.space, start, profile) if from_profile else standard_start(self.space)
         if save is not None and save.exists():
             first = self._resumed(save)
         self.search = Search(first, seed=seed)
