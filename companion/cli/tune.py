@@ -21,7 +21,8 @@ EXAMPLE = """examples:
   companion tune --level actuator --only-verify          how the profile's gains stand up, no search
 
 The search starts from the same gentle gains for every law, or with --from-profile from the profile's.
-Ctrl-C ends it with the best so far; with --save FILE a later call goes on from there. Cost 1 is about the report's DTLANNC; see docs/tuning.md. Exit code 2: wrong input.
+Ctrl-C ends it with the best so far; with --save FILE a later call goes on from there. Cost 1 is about the
+report's DTLANNC; see docs/tuning.md. Exit code 2: wrong input.
 """
 
 
@@ -66,9 +67,6 @@ def add_parser(subparsers: Any) -> None:
         "--from-profile",
         action="store_true",
         help="start from the profile's gains, not from the standard ones",
-    )
-    parser.add_argument(
-        "--from-profile", action="store_true", help="start from the profile's gains, not the standard ones"
     )
     parser.add_argument("--save", metavar="FILE", help="keep the best so far here, and go on from it")
     parser.add_argument(
