@@ -125,7 +125,11 @@ class Flight:
         self.phase = Phase.CONNECT
 
     def run(self) -> FlightResult:
-        """Fly. Always returns, with the vehicle in the safest state that could be reached."""
+        """Fly. Always ends with the vehicle in the safest state that could be reached.
+
+        Raises:
+            UserError: nothing to fly was found at the endpoint, or the trajectory cannot be flown.
+        """
         self._vehicle.watch = self._watch
         try:
             self._enter(Phase.CONNECT)
@@ -141,7 +145,8 @@ class Flight:
         except WaitedTooLong as waited:
             result = self._end_safely(Aborted(str(waited)) if self._engaged else Refused(str(waited)))
         except UserError as error:
-            result = self._end_safely(Refused(str(error)))
+            self._write_down(self._end_safely(Refused(str(error))))
+            raise
         except Exception as error:  # a mistake of ours must not leave a vehicle in the air
             self._write_down(self._end_safely(Aborted(f"mistake in this program: {error!r}")))
             raise
