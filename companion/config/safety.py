@@ -210,9 +210,10 @@ class SafetyLimits(SettingsModel):
     )
     """The position network's force as a share of the whole force: its authority limit."""
     lyapunov_rise: Ladder = Ladder(
-        warn=(4.0, 1.0), freeze=(6.0, 1.0), non_adaptive=(8.0, 1.0), hold=(12.0, 1.0)
+        warn=(3.0, 0.5), freeze=(4.0, 0.5), non_adaptive=(5.0, 0.5), hold=(6.5, 0.5)
     )
-    """Error part of V, Eq. (20), over 0.5 s against the same over 5 s: how much it has risen, both with 0.1 J added."""
+    """Error part of V, Eq. (20), over 0.5 s against the same over 5 s, 0.1 J added to both. A V that grows like e^rt
+    settles at (1 + 5r) / (1 + r/2): 3 means r = 0.6 /s, 4 means 1 /s, 6.5 means 3 /s; 10 is the most there can be."""
     log_lost: Ladder = Ladder(warn=(0.0, 0.0))
     """Records of the log that were lost."""
     disk_free_mb: Ladder = Ladder(warn=(200.0, 0.0))

@@ -72,11 +72,12 @@ class Preflight:
                 )
         wished = {
             mav.MAVLINK_MSG_ID_ATTITUDE_TARGET: 50.0,
-            mav.MAVLINK_MSG_ID_SYS_STATUS: 2.0,
+            mav.MAVLINK_MSG_ID_SYS_STATUS: 5.0,
             mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
-            mav.MAVLINK_MSG_ID_CURRENT_MODE: 10.0,
+            mav.MAVLINK_MSG_ID_CURRENT_MODE: 20.0,
+            mav.MAVLINK_MSG_ID_RC_CHANNELS: 10.0,
             vehicle.adapter.truth_message_id: 50.0,
-            vehicle.adapter.estimator_message_id: 2.0,
+            vehicle.adapter.estimator_message_id: 5.0,
         }
         for message_id, rate in wished.items():
             vehicle.command(message_interval(message_id, rate))  # a refusal is an answer too
