@@ -34,6 +34,19 @@ def test_the_first_command_is_the_one_taken_over(name, level, moving):
     assert angle_between(setpoint.quaternion_wxyz, given) < 1e-6
 
 
+@pytest.mark.parametrize("level", LEVELS)
+def test_a_turning_reference_is_taken_over_too(level):
+    """The yaw lead is part of what is sent at the attitude level, so the hand-over has to count it."""
+    law = law_of("dtlannc", level)
+    still = at_rest()
+    turning = type(still)(*[getattr(still, n) for n in still.__slots__[:5]], 0.2, 0.5, 0.3)
+    given = quaternion_of(rotation_zyx(0.02, 0.03, -0.1))
+    memory = law.take_over(law.initial_memory(), Plant().state(), turning, 17.0, given)
+    setpoint = law.step(memory, Plant().state(), turning, 0.01, RUN).setpoint
+    assert setpoint.thrust_newton == pytest.approx(17.0, abs=1e-9)
+    assert angle_between(setpoint.quaternion_wxyz, given) < 1e-6
+
+
 def _rest(state):
     return state.quaternion_wxyz, state.body_rate_flu
 

@@ -126,3 +126,23 @@ def test_without_setpoints_the_vehicle_flies_straight_on():
     ahead = predictor.predict(state)
     np.testing.assert_allclose(ahead.position_enu, [predictor.delay_s, 0, 0])
     assert ahead.time_s == pytest.approx(5.0 + predictor.ahead_s)
+
+
+def test_a_free_spin_keeps_its_angular_momentum():
+    """No torque, three different inertias, fast rates: R I ω in the world stays, the gyroscopic term with its sign."""
+    inertia = np.array([0.03, 0.05, 0.08])
+    predictor = Predictor(
+        profile(0.1).model_copy(update={"inertia_kg_m2": tuple(inertia)}), ControlLevel.ACTUATOR
+    )
+    level = np.array([1.0, 0, 0, 0])
+    for k in range(20):
+        predictor.sent(
+            0.01 * k, Setpoint(ControlLevel.ACTUATOR, 1.79 * GRAVITY, level, np.zeros(3), np.zeros(3))
+        )
+    rate = np.array([2.0, 3.0, -1.5])
+    ahead = predictor.predict(VehicleState(0.2, np.zeros(3), np.zeros(3), level, rate))
+    before, after = inertia * rate, inertia * ahead.body_rate_flu
+    assert np.linalg.norm(after - before) > 0.1 * np.linalg.norm(before)  # in the body it turns
+    np.testing.assert_allclose(
+        matrix_of(ahead.quaternion_wxyz) @ after, before, atol=0.01 * np.linalg.norm(before)
+    )
