@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import statistics
 import time
 
 import numpy as np
@@ -34,15 +33,15 @@ def example() -> tuple[VehicleState, Reference]:
     return state, Reference(z, a, a, a, a, 0.1, 0.0, 0.0)
 
 
-def seconds_each(call, count: int, rounds: int = 9) -> float:
-    """Median over rounds of the mean time of one call."""
+def seconds_each(call, count: int, rounds: int = 25) -> float:
+    """Least over rounds of the mean time of one call: whatever else the machine does only adds."""
     means = []
     for _ in range(rounds):
         start = time.perf_counter()
         for _ in range(count):
             call()
         means.append((time.perf_counter() - start) / count)
-    return statistics.median(means)
+    return min(means)
 
 
 def measure(name: str, level: ControlLevel, steps: int) -> dict[str, float | str]:
