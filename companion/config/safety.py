@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import enum
 import itertools
+import math
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
-from companion.config.model import NotNegative, Number, Positive, SettingsModel
+from companion.config.model import Number, Positive, SettingsModel
 
 
 class Reaction(enum.IntEnum):
@@ -45,7 +46,18 @@ class Reaction(enum.IntEnum):
 
 RUNGS = tuple(reaction for reaction in Reaction if reaction is not Reaction.NONE)
 
-Rung = tuple[Number, NotNegative] | Literal["off"]
+
+def _as_rung(given: Any) -> Any:
+    if given == "off":
+        return given
+    if isinstance(given, list | tuple) and len(given) == 2:
+        numbers = [float(value) for value in given if isinstance(value, int | float)]
+        if len(numbers) == 2 and all(map(math.isfinite, numbers)) and numbers[1] >= 0.0:
+            return tuple(numbers)
+    raise ValueError('write [threshold, seconds], for example [1.5, 0.5], or "off"')
+
+
+Rung = Annotated[tuple[float, float] | Literal["off"], BeforeValidator(_as_rung)]
 """`[threshold, seconds]`: beyond the threshold for that long the reaction follows; 0 s is at once."""
 
 

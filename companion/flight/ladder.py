@@ -16,6 +16,7 @@ from companion.config.safety import QUANTITIES, Reaction, SafetyLimits
 
 SOFTEST_FINAL = Reaction.HOLD
 """From here on nothing is taken back: the plan has been left."""
+ROUNDING_S = 1e-9  # times are differences of floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,14 +130,16 @@ def step(
         if value is not None and not (value >= limit if below else value <= limit)
     ]
     if not beyond and not state.exceeded:
-        hold_is_over = state.reaction is Reaction.HOLD and time_s - state.entered_s >= table.hold_s
+        hold_is_over = (
+            state.reaction is Reaction.HOLD and time_s - state.entered_s >= table.hold_s - ROUNDING_S
+        )
         reaction = next_reaction(state.reaction, Reaction.NONE, hold_is_over)
         if reaction is state.reaction:
             return state, ()
         return LadderState(reaction, time_s, ()), ()
     exceeded, changes = _step_rungs(table, state.exceeded, beyond, values, time_s)
     wanted = max((table.rungs[item.rung].reaction for item in exceeded if item.acting), default=Reaction.NONE)
-    hold_is_over = time_s - state.entered_s >= table.hold_s
+    hold_is_over = time_s - state.entered_s >= table.hold_s - ROUNDING_S
     reaction = next_reaction(state.reaction, wanted, hold_is_over)
     entered_s = state.entered_s if reaction is state.reaction else time_s
     return LadderState(reaction, entered_s, exceeded), changes
@@ -181,21 +184,26 @@ def _step_one(
     if not item.acting:
         if not rung.beyond(value):
             return None, None
-        if lasted_s < rung.for_s - 1e-9:
+        if lasted_s < rung.for_s - ROUNDING_S:
             return item, None
         return replace(item, acting=True), Change(rung, value, True, lasted_s)
     if not rung.well_within(value):
         return (item if item.quiet_since_s is None else replace(item, quiet_since_s=None)), None
     if item.quiet_since_s is None:
         return replace(item, quiet_since_s=time_s), None
-    if time_s - item.quiet_since_s < recovery_s:
+    if time_s - item.quiet_since_s < recovery_s - ROUNDING_S:
         return item, None
     return None, Change(rung, value, False, lasted_s)
 
 
-def acting_reactions(table: RungTable, state: LadderState) -> set[Reaction]:
-    """Reactions of all rungs that act."""
-    return {table.rungs[item.rung].reaction for item in state.exceeded if item.acting}
+def hardest_by_quantity(table: RungTable, state: LadderState) -> dict[int, Reaction]:
+    """The hardest acting reaction of every quantity that has one."""
+    found: dict[int, Reaction] = {}
+    for item in state.exceeded:
+        rung = table.rungs[item.rung]
+        if item.acting:
+            found[rung.quantity] = max(rung.reaction, found.get(rung.quantity, Reaction.NONE))
+    return found
 
 
 # What follows is for the documentation -------------------------------------------------------------------

@@ -17,7 +17,7 @@ from companion.control.law import ControlLaw
 from companion.control.packing import LOOP_TERMS, TERMS, Terms
 from companion.control.structs import AdaptationGate, Reference, Vector, VehicleState
 from companion.flight.fence import horizontal_margin
-from companion.flight.ladder import START, Change, LadderState, acting_reactions, rung_table, step
+from companion.flight.ladder import START, Change, LadderState, hardest_by_quantity, rung_table, step
 from companion.flightlog.health import LogHealth
 from companion.mavlink.link import Link, mav
 
@@ -197,7 +197,7 @@ class Supervisor:
     def _gate(self, reaction: Reaction) -> AdaptationGate:
         if reaction < Reaction.FREEZE:
             return AdaptationGate.RUN
-        if Reaction.FREEZE in acting_reactions(self._table, self._state):
+        if Reaction.FREEZE in hardest_by_quantity(self._table, self._state).values():
             return AdaptationGate.FREEZE
         return AdaptationGate.FREEZE_WEIGHTS
 

@@ -6,7 +6,8 @@
 A quantity goes beyond a rung's threshold at a random moment between two messages of its source; states come at the
 slowest control rate in use (100 Hz). Measured is the autopilot's time from that moment to the reaction: the waiting
 for the next message, the supervisor's own sampling of slow quantities, its filters, and the configured duration.
-What follows a final reaction, the autopilot's change of mode, is measured over the wire by tests/flight/test_safety_over_the_wire.py.
+What follows a final reaction, the autopilot's change of mode, is measured over the wire by
+tests/flight/test_safety_reactions.py.
 """
 
 from __future__ import annotations
