@@ -1,5 +1,7 @@
 """The limits as settings: overridable one rung at a time, never harder before softer, never without an end."""
 
+import itertools
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -47,7 +49,7 @@ def test_a_rung_can_be_switched_off_and_survives_the_log():
     ],
 )
 def test_limits_that_make_no_sense_are_refused_with_a_reason(override, says):
-    with pytest.raises(UserError, match="1 error|--set") as refused:
+    with pytest.raises(UserError, match=r"1 error|--set") as refused:
         load(override)
     assert says in str(refused.value)
 
@@ -66,7 +68,7 @@ def test_no_accepted_ladder_has_a_harder_rung_before_a_softer_one(thresholds, du
     rungs = {name: [at, for_s] for name, at, for_s in zip(names, thresholds, durations, strict=False)}
     ordered = all(
         hard > soft or (hard == soft and durations[i + 1] >= durations[i])
-        for i, (soft, hard) in enumerate(zip(thresholds, thresholds[1:], strict=False))
+        for i, (soft, hard) in enumerate(itertools.pairwise(thresholds))
     )
     off = {reaction.setting: "off" for reaction in RUNGS}
     table = {"velocity_error_m_s": {**off, **rungs}}
