@@ -21,10 +21,11 @@ from companion.autopilot.hover_thrust import HoverThrustEstimator
 from companion.autopilot.thrust import ThrustScale
 from companion.config.safety import Reaction
 from companion.config.settings import FlightSettings
+from companion.control.bounds import POSITION_SATURATES
 from companion.control.law import ControlLaw, StepRefused, pack_input
 from companion.control.packing import Memory, Terms
 from companion.control.prediction import Predictor
-from companion.control.structs import ControlLevel, Reference, Setpoint, Vector, VehicleState
+from companion.control.structs import AdaptationGate, ControlLevel, Reference, Setpoint, Vector, VehicleState
 from companion.flight.fallback import without_networks
 from companion.flight.outcome import Aborted, ending
 from companion.flight.plan import FlightPlan, stopping_plan, tracking_time
@@ -231,6 +232,7 @@ class ControlLoop:
         if judgement.yaw_jump_rad:
             self._shift_yaw_rad += judgement.yaw_jump_rad
         self._react(judgement, state.time_s)
+        self._estimate_hover(state, trusted=judgement.gate is AdaptationGate.RUN)
         reference = self._sample(state.time_s)
         self.position_error_enu = reference.position_enu - state.position_enu
         dt_s = min(state.time_s - self._last_step_s, LONGEST_STEP * self.period_s)
@@ -251,6 +253,18 @@ class ControlLoop:
         self._recorder.step(state.time_s, memory, inputs, result)
         self._note_bounds(result.terms.flags)
         return law_s
+
+    def _estimate_hover(self, state: VehicleState, trusted: bool) -> None:
+        """Let the thrust scale follow what the thrust really does: slowly, so that the law's integrals go along."""
+        time_s = self._vehicle.assembler.position_time_s  # the velocity's own time
+        if time_s <= self._velocity_time_s:
+            return
+        self._velocity_time_s = time_s
+        free = trusted and not self._flags & POSITION_SATURATES
+        self._hover.update(
+            time_s, float(state.velocity_enu[2]), math.cos(tilt_of(state.quaternion_wxyz)), free
+        )
+        self._thrust = replace(self._thrust, hover_thrust=self._hover.hover_thrust)
 
     def _lift(self, state: VehicleState, gap_s: float, age_s: float) -> None:
         limit_deg = self._settings.safety.lift_off_tilt_deg

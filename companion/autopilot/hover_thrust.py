@@ -1,0 +1,107 @@
+"""The thrust setpoint that carries the weight, estimated while flying.
+
+Along world z, a vehicle whose setpoint u has come through the rotors moves with
+
+    a_z + g = c · u · cos(tilt) ,   c = g / hover thrust
+
+A scalar Kalman filter follows c. The acceleration is taken from differences of the estimated vertical velocity over
+`SPAN_S`, the setpoint through the same dead time, rotor lag and span, so that the two belong together. Users
+have lost vehicles to such estimators running away on the ground or in saturation: there this one stands still, it
+never leaves `TRUST` times its first value, and it moves slowly.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+GRAVITY = 9.81
+SPAN_S = 0.2
+PROCESS_NOISE = 0.02
+"""Of c, relative, per √s: a battery's sag and more."""
+ACCELERATION_NOISE_M_S2 = 0.6
+"""Of the differences, with gusts and the estimator's noise."""
+FIRST_UNCERTAINTY = 0.25
+"""Of the first value, relative: parameters are wrong by this much now and then."""
+TRUST = 1.6
+"""Bounds: first value divided by and multiplied by this."""
+GATE = 4.0
+"""Innovations beyond this many standard deviations are not believed."""
+
+
+class HoverThrustEstimator:
+    """See the module. Values of `hover_thrust` are normalised setpoints, 0..1."""
+
+    def __init__(self, first: float, dead_time_s: float, rotor_lag_rad_s: float) -> None:
+        """Start at `first`; the setpoint acts after `dead_time_s` and a first-order lag of `rotor_lag_rad_s`."""
+        self._first = first
+        self._slope = GRAVITY / first
+        self._variance = (FIRST_UNCERTAINTY * self._slope) ** 2
+        self._dead_time_s = dead_time_s
+        self._lag_rad_s = rotor_lag_rad_s
+        self._pending: deque[tuple[float, float]] = deque()  # (when it acts, setpoint)
+        self._acting = first
+        self._lagged = first
+        self._effort = 0.0  # ∫ lagged setpoint · cos(tilt) dt
+        self._past: deque[tuple[float, float, float]] = deque()  # time, vertical velocity, effort
+        self._last_s = math.nan
+
+    @property
+    def hover_thrust(self) -> float:
+        """The estimate."""
+        return GRAVITY / self._slope
+
+    @property
+    def deviation(self) -> float:
+        """Its standard deviation."""
+        return self.hover_thrust * math.sqrt(self._variance) / self._slope
+
+    def sent(self, time_s: float, thrust: float) -> None:
+        """Note a setpoint sent at `time_s` (autopilot's clock)."""
+        self._pending.append((time_s + self._dead_time_s, thrust))
+
+    def update(self, time_s: float, velocity_up_m_s: float, cos_tilt: float, trusted: bool) -> None:
+        """Take a state.
+
+        Args:
+            time_s: the autopilot's clock; states in order.
+            velocity_up_m_s: world z.
+            cos_tilt: between body z and world z.
+            trusted: False on the ground, in saturation, with stale data or after a jump: the estimate then stands.
+        """
+        elapsed_s = time_s - self._last_s
+        self._last_s = time_s
+        if not 0.0 < elapsed_s < SPAN_S:  # the first state, or a gap
+            self._past.clear()
+            return
+        while self._pending and self._pending[0][0] <= time_s:
+            self._acting = self._pending.popleft()[1]
+        self._lagged += -math.expm1(-self._lag_rad_s * elapsed_s) * (self._acting - self._lagged)
+        self._effort += self._lagged * cos_tilt * elapsed_s
+        if not trusted:
+            self._past.clear()
+            return
+        self._past.append((time_s, velocity_up_m_s, self._effort))
+        first_s, first_velocity, first_effort = self._past[0]
+        span_s = time_s - first_s
+        if span_s < SPAN_S:
+            return
+        self._past.clear()  # spans do not overlap: their noise is independent
+        self._past.append((time_s, velocity_up_m_s, self._effort))
+        self._correct(
+            (velocity_up_m_s - first_velocity) / span_s + GRAVITY,
+            (self._effort - first_effort) / span_s,
+            span_s,
+        )
+
+    def _correct(self, force_per_mass: float, effort: float, span_s: float) -> None:
+        self._variance += (PROCESS_NOISE * self._slope) ** 2 * span_s
+        innovation = force_per_mass - self._slope * effort
+        spread = effort * effort * self._variance + ACCELERATION_NOISE_M_S2**2
+        if innovation * innovation > GATE * GATE * spread:
+            return
+        gain = self._variance * effort / spread
+        slope = self._slope + gain * innovation
+        least, most = GRAVITY / (self._first * TRUST), GRAVITY / (self._first / TRUST)
+        self._slope = min(most, max(least, slope))
+        self._variance *= 1.0 - gain * effort

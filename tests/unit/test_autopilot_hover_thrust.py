@@ -1,0 +1,72 @@
+"""The hover-thrust estimator against a vertical plant written here: m v̇ = k u_lagged(t − dead) − m g."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from companion.autopilot.hover_thrust import TRUST, HoverThrustEstimator
+
+DT = 0.01
+
+
+def fly(
+    estimator, true_hover, seconds, *, dead_s=0.06, lag=15.0, noise=0.02, trusted=True, seed=1, sine=0.05
+):
+    """Fly a plant that hovers at `true_hover` with a gentle up and down; returns the estimates."""
+    random = np.random.default_rng(seed)
+    sent: list[float] = []
+    velocity, rotor = 0.0, true_hover
+    out = []
+    for k in range(round(seconds / DT)):
+        time_s = k * DT
+        setpoint = true_hover * (1.0 - 0.3 * velocity) + sine * true_hover * math.sin(2.0 * time_s)
+        sent.append(setpoint)
+        estimator.sent(time_s, setpoint)
+        acting = sent[max(0, k - round(dead_s / DT))]
+        rotor += (1.0 - math.exp(-lag * DT)) * (acting - rotor)
+        velocity += DT * (9.81 * rotor / true_hover - 9.81)
+        estimator.update(time_s, velocity + random.normal(0.0, noise), 1.0, trusted)
+        out.append(estimator.hover_thrust)
+    return out
+
+
+@pytest.mark.parametrize("wrong_by", [0.8, 0.9, 1.0, 1.1, 1.25])
+def test_finds_the_hover_thrust_within_3_percent_in_5_s(wrong_by):
+    true = 0.366
+    estimates = fly(HoverThrustEstimator(true * wrong_by, 0.06, 15.0), true, 8.0)
+    assert abs(estimates[round(5.0 / DT)] / true - 1.0) < 0.03
+    assert abs(estimates[-1] / true - 1.0) < 0.03
+
+
+def test_stands_still_where_it_may_not_learn():
+    estimator = HoverThrustEstimator(0.5, 0.06, 15.0)
+    assert set(fly(estimator, 0.3, 5.0, trusted=False)) == {0.5}
+
+
+def test_does_not_believe_a_kick():
+    """A collision: 8 m/s² for 50 ms is no change of hover thrust."""
+    estimator = HoverThrustEstimator(0.4, 0.0, 15.0)
+    fly(estimator, 0.4, 6.0, dead_s=0.0)
+    before = estimator.hover_thrust
+    for k in range(25):
+        estimator.sent(6.0 + k * DT, 0.4)
+        estimator.update(6.0 + k * DT, 4.0 if k > 10 else 0.0, 1.0, True)
+    assert estimator.hover_thrust == pytest.approx(before, rel=0.01)
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    first=st.floats(0.15, 0.7),
+    velocities=st.lists(st.floats(-50.0, 50.0), min_size=30, max_size=200),
+    thrust=st.floats(0.0, 1.0),
+)
+def test_never_leaves_its_bounds(first, velocities, thrust):
+    estimator = HoverThrustEstimator(first, 0.05, 15.0)
+    for k, velocity in enumerate(velocities):
+        estimator.sent(k * DT, thrust)
+        estimator.update(k * DT, velocity, 1.0, True)
+        assert first / TRUST * 0.999 <= estimator.hover_thrust <= first * TRUST * 1.001
+        assert math.isfinite(estimator.deviation)
