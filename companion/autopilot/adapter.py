@@ -132,6 +132,8 @@ class Adapter(ABC):
     """From arming until positive thrust turns into thrust."""
     bytewise_parameters: bool
     """Whether integer parameters travel as bit patterns (PX4) or as values (ArduPilot)."""
+    takes_local_ned_odometry: bool
+    """Whether ODOMETRY may be in MAV_FRAME_LOCAL_NED, so that its yaw is a heading; else MAV_FRAME_LOCAL_FRD only."""
     hover_thrust_parameter: str
     """The parameter that holds the thrust setpoint of hovering flight."""
 

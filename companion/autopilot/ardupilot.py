@@ -29,6 +29,7 @@ class ArduPilot(Adapter):
     estimator_message_id = mav.MAVLINK_MSG_ID_EKF_STATUS_REPORT
     prearm_bit_counts = True
     spool_time_s = 2.5  # 2 s arming delay and 0.5 s spool-up
+    takes_local_ned_odometry = False
     bytewise_parameters = False
     hover_thrust_parameter = "MOT_THST_HOVER"
 

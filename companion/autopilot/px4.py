@@ -63,6 +63,7 @@ class Px4(Adapter):
     estimator_message_id = mav.MAVLINK_MSG_ID_ESTIMATOR_STATUS
     prearm_bit_counts = False
     spool_time_s = 1.0  # COM_SPOOLUP_TIME
+    takes_local_ned_odometry = True
     bytewise_parameters = True
     hover_thrust_parameter = "MPC_THR_HOVER"
 

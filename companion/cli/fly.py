@@ -90,6 +90,14 @@ def add_flight_options(parser: argparse.ArgumentParser, required: bool = True) -
         metavar="KEY=VALUE",
         help="change a setting, e.g. profile.mass_ratio=1.0",
     )
+    parser.add_argument(
+        "--outside-poses",
+        metavar="[HOST:]PORT",
+        help="hear poses of a motion-capture system there (UDP), forward them as ODOMETRY (docs/links.md)",
+    )
+    parser.add_argument(
+        "--pose-rate", type=float, default=50.0, metavar="HZ", help="forward so many at most (default 50)"
+    )
     parser.add_argument("--arm", action="store_true", help="let the companion arm a real vehicle")
     parser.add_argument("--wait-for-offboard", action="store_true", help="leave the mode switch to the pilot")
     parser.add_argument(
@@ -114,6 +122,22 @@ def connection_from(arguments: argparse.Namespace, address: str) -> Connection:
 
     key = Path(arguments.signing_key) if arguments.signing_key else None
     return Connection(parse_endpoint(address), LinkLibrary(arguments.link), key)
+
+
+def pose_address(text: str | None, option: str = "--outside-poses") -> tuple[str, int] | None:
+    """`[HOST:]PORT`; without a host this machine only. Raises UserError for anything else."""
+    if text is None:
+        return None
+    host, _, port = text.rpartition(":")
+    if not port.isdecimal() or not 0 < int(port) < 65536:
+        raise UserError(f"{option} {text!r}: not [HOST:]PORT; use for example 0.0.0.0:14600")
+    return host or "127.0.0.1", int(port)
+
+
+def _pose_rate(rate_hz: float) -> float:
+    if not 1.0 <= rate_hz <= 200.0:
+        raise UserError(f"--pose-rate {rate_hz:g}: give 1 to 200 Hz; PX4 advises 30 to 50")
+    return rate_hz
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -176,6 +200,8 @@ def fly_once(
             wait_for_offboard=arguments.wait_for_offboard,
             real_time=not arguments.sitl or arguments.real_time,
             command_line=shlex.join(sys.argv),
+            outside_poses=pose_address(arguments.outside_poses),
+            pose_rate_hz=_pose_rate(arguments.pose_rate),
         )
         try:
             result = fly(settings, options, reporter)

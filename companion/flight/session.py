@@ -37,6 +37,7 @@ from companion.flight.setpoint_gate import SetpointGate
 from companion.flight.vehicle import Vehicle
 from companion.flightlog.writer import FlightLog
 from companion.mavlink.connection import Connection
+from companion.mavlink.outside_poses import DEFAULT_RATE_HZ, OutsidePoses
 from companion.reference.feasibility import VehicleLimits, check_feasibility
 from companion.reference.registry import trajectory_from_text
 from companion.reference.trajectory import Frame
@@ -56,6 +57,8 @@ class SessionOptions:
     wait_for_offboard: bool = False
     real_time: bool = True  # ask for real-time scheduling; a simulation in lockstep has no use for it
     command_line: str = ""
+    outside_poses: tuple[str, int] | None = None  # host, port to hear poses at that are forwarded as ODOMETRY
+    pose_rate_hz: float = DEFAULT_RATE_HZ  # at most so many of them
 
 
 def fly(settings: Settings, options: SessionOptions, reporter: Reporter) -> FlightResult:
@@ -72,6 +75,7 @@ def fly(settings: Settings, options: SessionOptions, reporter: Reporter) -> Flig
             reporter.say(line)
     else:
         realtime.freeze_collector()
+    poses = OutsidePoses(options.outside_poses, options.pose_rate_hz) if options.outside_poses else None
     link = options.connection.open(reporter.say)
     try:
         with FlightLog(
@@ -86,6 +90,7 @@ def fly(settings: Settings, options: SessionOptions, reporter: Reporter) -> Flig
             link.tap = recorder.frame
             vehicle = Vehicle(link, settings.flight.safety.silence_s)
             vehicle.on_notice = _notices(vehicle, recorder, reporter)
+            vehicle.outside_poses = poses
             request = FlightRequest(
                 level=settings.level,
                 trajectory=trajectory,
@@ -115,9 +120,14 @@ def fly(settings: Settings, options: SessionOptions, reporter: Reporter) -> Flig
                     make_loop,
                     check_plan,
                 )
-                return flight.run()
+                result = flight.run()
+            if poses is not None:
+                _tell_poses(poses, vehicle)
+            return result
     finally:
         link.close()
+        if poses is not None:
+            poses.close()
 
 
 def check(settings: Settings, connection: Connection, reporter: Reporter, fix: bool = False) -> list[Finding]:
@@ -248,6 +258,11 @@ def _notices(vehicle: Vehicle, recorder: Recorder, reporter: Reporter) -> Callab
         recorder.log.event("link", vehicle.link.autopilot_time_s, text=text)
 
     return tell
+
+
+def _tell_poses(poses: OutsidePoses, vehicle: Vehicle) -> None:
+    counts = ", ".join(f"{count} {what}" for what, count in sorted(poses.counters.items()))
+    vehicle.on_notice(f"poses from outside: {counts or 'none came'}")
 
 
 def _versions() -> dict[str, str]:

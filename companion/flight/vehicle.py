@@ -16,6 +16,7 @@ from companion.config.errors import UserError
 from companion.control.structs import VehicleState
 from companion.flight.outcome import LinkLost, WaitedTooLong
 from companion.mavlink.link import Link, Message, mav
+from companion.mavlink.outside_poses import OutsidePoses
 from companion.mavlink.protocol import (
     RESULT_WORDS,
     Command,
@@ -27,6 +28,7 @@ from companion.mavlink.protocol import (
 from companion.mavlink.state import StateAssembler
 
 POLL_S = 0.05
+POSE_POLL_S = 0.005
 ACK_TIMEOUT_S = 1.0
 TRIES = 4
 
@@ -48,6 +50,7 @@ class Vehicle:
         self.on_message: Callable[[Message], None] = lambda _: None
         self.watch: Callable[[], None] = lambda: None
         self.on_notice: Callable[[str], None] = lambda _: None
+        self.outside_poses: OutsidePoses | None = None
 
     # Waiting ----------------------------------------------------------------------------------------
 
@@ -66,7 +69,8 @@ class Vehicle:
             standing_s = min(self.link.clock_stands_s, time.monotonic() - asked_s)
             if standing_s > timeout_s:
                 raise WaitedTooLong(f"{what or 'the autopilot'}: nothing after {timeout_s:.0f} s")
-            message = self.link.receive(POLL_S)
+            self._forward_poses()
+            message = self.link.receive(self._poll_s)
             if message is None:
                 self._pass_notices()
                 self.link.keep_alive()
@@ -81,6 +85,20 @@ class Vehicle:
     def _pass_notices(self) -> None:
         for text in self.link.take_notices():
             self.on_notice(text)
+
+    @property
+    def _poll_s(self) -> float:
+        """How long to wait for a message: poses are not waited for, so with them not long."""
+        return POLL_S if self.outside_poses is None else POSE_POLL_S
+
+    def _forward_poses(self) -> None:
+        poses = self.outside_poses
+        if poses is None:
+            return
+        for message in poses.poll():
+            self.link.send(message)
+        while poses.notices:
+            self.on_notice(poses.notices.popleft())
 
     def _handle(self, message: Message) -> None:
         if message.get_msgId() == mav.MAVLINK_MSG_ID_TIMESYNC:
@@ -117,6 +135,8 @@ class Vehicle:
         heartbeat = self.link.heartbeat
         self.adapter = adapter_for(heartbeat.autopilot, heartbeat.type)
         self.parameters.bytewise = self.adapter.bytewise_parameters
+        if self.outside_poses is not None:
+            self.outside_poses.local_ned = self.adapter.takes_local_ned_odometry
         answered: list[Message] = []
 
         def note(message: Message) -> None:
