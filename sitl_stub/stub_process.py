@@ -31,7 +31,7 @@ class Stub:
     def __init__(
         self,
         firmware: str = "px4",
-        vehicle: str = "qball2",
+        vehicle: str | None = None,
         estimator: str = "mocap",
         seed: int = 0,
         *,
@@ -54,7 +54,8 @@ class Stub:
         }
         if transport not in links:
             raise ValueError(f"transport {transport!r}: choose from {', '.join(links)}")
-        command = [sys.executable, "-m", "sitl_stub", "--json", "--firmware", firmware, "--vehicle", vehicle]
+        command = [sys.executable, "-m", "sitl_stub", "--json", "--firmware", firmware]
+        command += ["--vehicle", vehicle] if vehicle is not None else []
         command += [
             "--estimator",
             estimator,

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from sitl_stub.firmware.ardupilot_boot import Boot
+from sitl_stub.firmware.ardupilot_boot import Boot, Happenings
 from sitl_stub.firmware.ardupilot_commands import ArduPilotCommands
 from sitl_stub.firmware.ardupilot_core import ArduPilotCore
 from sitl_stub.firmware.ardupilot_flight import Flight
@@ -30,6 +30,10 @@ ARMING_DELAY_US = 2_000_000
 LOGGING_AFTER_US = 15_000_000
 """How long a refused arming keeps the log open."""
 CHUNK_BYTES = 50
+PREARM_PHASE_US = 250_000
+"""When within each second the checks run."""
+TIMESYNC_EVERY_US = 10_000_000
+"""Outside lockstep; in lockstep the server sends them."""
 
 
 class ArduPilot(Autopilot):
@@ -56,12 +60,14 @@ class ArduPilot(Autopilot):
         self._idle_since_us = 0
         self._log_until_us = 0
         self._text_number = 0
+        self._texts: list[tuple[Link, int, str, int, int]] = []
         self.core = core
         self.parameters = parameters
         self.guided = Guided(self)
         self.flight = Flight(self)
         self.ground_sense = GroundSense(self)
         self.boot = Boot(self, ready_after_s)
+        self.happenings = Happenings(self)
         self.say_messages = ArduPilotMessages(self)
         super().__init__(core, parameters)
         self.protocol = ArduPilotCommands(self)
@@ -134,6 +140,13 @@ class ArduPilot(Autopilot):
         for link in self.links:
             self.say_to(link, severity, text)
 
+    def send_due(self) -> int:
+        """Texts said since the last instant, then the streams: an acknowledgement comes before its explanation."""
+        texts, self._texts = self._texts, []
+        for link, severity, text, number, chunk in texts:
+            link.send("STATUSTEXT", severity=severity, text=text, id=number, chunk_seq=chunk)
+        return len(texts) + super().send_due()
+
     def say_to(self, link: Link, severity: int, text: str) -> None:
         """STATUSTEXT to one client."""
         chunks = [text[at : at + CHUNK_BYTES] for at in range(0, len(text), CHUNK_BYTES)] or [""]
@@ -142,7 +155,7 @@ class ArduPilot(Autopilot):
             self._text_number = self._text_number % 65535 + 1
             number = self._text_number
         for index, chunk in enumerate(chunks):
-            link.send("STATUSTEXT", severity=severity, text=chunk, id=number, chunk_seq=index)
+            self._texts.append((link, severity, chunk, number, index))
 
     # --- modes and arming --------------------------------------------------------------------------------------
     def request_mode(self, number: int) -> bool:
@@ -160,6 +173,7 @@ class ArduPilot(Autopilot):
         self.mode = mode
         self.flight.enter(mode)
         self.on_text(f"mode {mode.name}")
+        self.flight.run()
         for link in self.links:
             self.streams.build(link, 0)
         return True
@@ -261,9 +275,12 @@ class ArduPilot(Autopilot):
         self.boot.update()
         self.ground_sense.update()
         self.flight.run()
-        if self.time_us % 1_000_000 == 0:
+        if self.time_us % 1_000_000 == PREARM_PHASE_US:
             self.prearm_good = self._armed or not self.arming_refusals()
+        if self.time_us % TIMESYNC_EVERY_US == 0 and not self.lockstep:
+            self.broadcast("TIMESYNC", tc1=0, ts1=self.time_us * 1000 + 1)
         self._disarm_when_idle()
+        self.happenings.update()
 
     def _disarm_when_idle(self) -> None:
         """DISARM_DELAY: armed, on the ground, throttle down, motors idle."""

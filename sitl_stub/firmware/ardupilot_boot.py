@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from sitl_stub.physics import vehicle as body
+
 if TYPE_CHECKING:
     from sitl_stub.firmware.ardupilot import ArduPilot
 
@@ -15,9 +17,12 @@ CAPTURED_READY_S = 41.6
 EKF_STARTED_S = 5.0
 GPS_FOUND_S = 9.83
 HOME_S = 20.02
-AHRS_READY_S = 22.0
+AHRS_READY_S = 22.2
 ACCELEROMETERS_AGREE_S = 22.9
-REPORTS_EVERY_US = 30_000_000
+FIRST_REPORT_US, REPORTS_EVERY_US = 30_440_000, 31_000_000
+YAW_ALIGNED_ABOVE_M = 2.5
+HARD_LANDING_M_S = 0.1
+"""The simulator tells of touch-downs faster than this."""
 CRITICAL, INFO = 2, 6
 
 SAYINGS: tuple[tuple[float, str], ...] = (
@@ -50,7 +55,7 @@ class Boot:
         self.scale = max(ready_after_s, 0.0) / 42.0
         self._said = 0
         self._home_told = False
-        self._next_report_us = REPORTS_EVERY_US
+        self._next_report_us = FIRST_REPORT_US
 
     def _past(self, captured_s: float) -> bool:
         return self.autopilot.time_us >= captured_s * self.scale * 1e6
@@ -86,7 +91,7 @@ class Boot:
         return self._past(CAPTURED_READY_S)
 
     def update(self) -> None:
-        """Say what is due; every 30 s what still stands against arming."""
+        """Say what is due; every 31 s what still stands against arming."""
         a = self.autopilot
         while self._said < len(SAYINGS) and self._past(SAYINGS[self._said][0]):
             a.say(INFO, SAYINGS[self._said][1])
@@ -101,3 +106,27 @@ class Boot:
             if not a.armed:
                 for refusal in a.arming_refusals():
                     a.say(CRITICAL, f"PreArm: {refusal}")
+
+
+class Happenings:
+    """What the filter and the simulator say in flight."""
+
+    def __init__(self, autopilot: ArduPilot) -> None:
+        self.autopilot = autopilot
+        self._yaw_aligned = False
+        self._touching = True
+
+    def update(self) -> None:
+        """A hundred times a second."""
+        a = self.autopilot
+        state = a.core.state
+        if a.armed and not self._yaw_aligned and a.height_above_home_m > YAW_ALIGNED_ABOVE_M:
+            self._yaw_aligned = True
+            for unit in (0, 1):
+                a.say(INFO, f"EKF3 IMU{unit} MAG0 in-flight yaw alignment complete")
+        touching = bool(state[body.TOUCHING] > 0.0)
+        if touching and not self._touching and float(state[body.IMPACT_SPEED]) > HARD_LANDING_M_S:
+            a.say(INFO, f"SIM Hit ground at {float(state[body.IMPACT_SPEED]):.6f} m/s")
+        if not touching:
+            state[body.IMPACT_SPEED] = 0.0
+        self._touching = touching

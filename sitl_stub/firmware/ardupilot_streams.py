@@ -116,7 +116,6 @@ class ArduPilotMessages:
             ("SYS_STATUS", self.sys_status),
             ("EXTENDED_SYS_STATE", self.extended_sys_state),
             ("SYSTEM_TIME", self.system_time),
-            ("TIMESYNC", self.timesync),
             ("BATTERY_STATUS", self.battery_status),
             ("POWER_STATUS", self.power_status),
             ("HWSTATUS", self.hwstatus),
@@ -158,14 +157,14 @@ class ArduPilotMessages:
         """Whether the horizontal position controller runs."""
         a = self.autopilot
         on_ground = a.flight.ground_control and a.mode is not Mode.RTL
-        return on_ground or bool(a.core.memory[at.NE_ACTIVE] > 0.0)
+        return on_ground or bool(a.core.setpoint[at.LATERAL] == at.LATERAL_POSITION)
 
     @property
     def height_controlled(self) -> bool:
         """Whether the height controller runs."""
         a = self.autopilot
         on_ground = a.flight.ground_control and a.mode is not Mode.RTL
-        return on_ground or bool(a.core.memory[at.UP_ACTIVE] > 0.0)
+        return on_ground or bool(a.core.setpoint[at.VERTICAL] == at.VERTICAL_POSITION)
 
     def heartbeat(self, link: Link) -> Values:
         """HEARTBEAT: the guided bit tells that the position controller runs, the status that it flies."""
@@ -258,12 +257,6 @@ class ArduPilotMessages:
         """SYSTEM_TIME: no Unix time before the receiver has one."""
         now = self.autopilot.time_us
         return (SIMULATED_EPOCH_US + now if self.autopilot.gps_found else 0, now // 1000)
-
-    def timesync(self, link: Link) -> Values | None:
-        """TIMESYNC request; in lockstep the server sends them instead."""
-        if self.autopilot.lockstep:
-            return None
-        return (0, self.autopilot.time_us * 1000 + 1)
 
     def ekf_status_report(self, link: Link) -> Values:
         """EKF_STATUS_REPORT: flags, and test ratios that are all well."""
