@@ -47,7 +47,9 @@ def add_parser(subparsers: Any) -> None:
         choices=("stub", "lagged"),
         help="PX4's loops on the stub's vehicle, or the profile's responses (no torque level)",
     )
-    parser.add_argument("--estimator", default="mocap", choices=("mocap", "gps", "perfect"), help="its noise")
+    parser.add_argument(
+        "--estimator", default="mocap", choices=("mocap", "gps", "perfect", "sih_mocap"), help="its noise"
+    )
     parser.add_argument(
         "--delay",
         type=float,

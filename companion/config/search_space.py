@@ -53,7 +53,7 @@ LOOP_INTEGRAL = (
 )
 LOOP_NETWORK = (
     Parameter(POSITION + "alpha", (), 0.05, 1.5, "mass"),
-    Parameter(POSITION + "boundary_width", (), 0.05, 1.0),
+    Parameter(POSITION + "boundary_width", (), 0.15, 1.0),
     Parameter(POSITION + "N", (), 0.1, 10.0, "mass"),
     Parameter(POSITION + "kappa", (), 0.001, 1.0),
 )

@@ -22,9 +22,11 @@ from companion.control.prediction import RING, ROW, pack_model
 from companion.control.registry import build_law
 from companion.control.structs import ControlLevel, Vector, VehicleState
 from companion.tuning import closed_loop as loop
+from companion.tuning.estimators import ESTIMATORS
 from companion.tuning.lagged_plant import SIZE as LAGGED_SIZE
 from companion.tuning.lagged_plant import THRUST_NOW, pack_lagged
-from companion.tuning.reference_table import HEADING_RAD, ReferenceTable
+from companion.tuning.reference_table import HEADING_RAD, PERIOD_S, ReferenceTable
+from sitl_stub.physics.estimator import pack_settings
 from sitl_stub.physics.noise import random_state
 from sitl_stub.physics.vehicle import VehicleError, load_vehicle
 from sitl_stub.simulation import Simulation
@@ -53,7 +55,7 @@ class PlantChoice:
     """Which vehicle and autopilot stand behind the wire."""
 
     kind: str = "stub"  # stub (PX4's loops on the stub's physics) or lagged (the profile's response)
-    estimator: str = "mocap"  # preset of the stub's estimator
+    estimator: str = "mocap"  # one of `estimators.ESTIMATORS`
     delay_s: float = 0.0  # nominal dead time from state to effect, beyond the plant's own
     parameters: dict[str, float] = field(default_factory=dict)  # PX4 parameters that differ
 
@@ -119,9 +121,9 @@ class TrialFlight:
                 ground_effect=0.0,
             )
         firmware = "px4-1.13" if self._level is ControlLevel.ACTUATOR else "px4"
-        simulation = Simulation(
-            firmware, vehicle, plant.estimator, scenario.seed, parameters=plant.parameters
-        )
+        preset = ESTIMATORS[plant.estimator]
+        simulation = Simulation(firmware, vehicle, "mocap", scenario.seed, parameters=plant.parameters)
+        simulation.core.estimator.arrays.settings[:] = pack_settings(preset, PERIOD_S)
         east, north, up = self._table.start.position_enu
         simulation.hover_at((float(north), float(east), -float(up)))
         return simulation

@@ -20,7 +20,7 @@ from companion.tuning.reference_table import reference_table
 
 POSITION_GOAL_M = np.array([0.0448, 0.0216, 0.0238])
 """The report's DTLANNC, section 7 of the control laws."""
-ATTITUDE_GOAL_RAD = np.radians([1.1505, 1.1638])
+ATTITUDE_GOAL_RAD = np.radians([1.1505, 1.1638, 0.2834])
 SHAKE_GOAL_RAD_S = 0.15
 """Body rate beyond the reference's own that is still calm: 0.15 rad/s is 1° at 8 rad/s."""
 HOLD_GOAL_M = 0.01
@@ -57,10 +57,12 @@ def score(outcome: Outcome) -> float:
     if outcome.flown < 1.0:
         return LOST * (1.0 - 0.5 * outcome.flown)
     position = float(np.sqrt(np.mean((outcome.position_rms_m / POSITION_GOAL_M) ** 2)))
-    attitude = float(np.sqrt(np.mean((outcome.attitude_rms_rad[:2] / ATTITUDE_GOAL_RAD) ** 2)))
-    shake = float(np.mean(outcome.shake_rms_rad_s[:2])) / SHAKE_GOAL_RAD_S
+    ratios = outcome.attitude_rms_rad / ATTITUDE_GOAL_RAD
+    attitude = float(np.sqrt(np.mean(ratios**2)))
+    beyond = float(np.sum(np.maximum(0.0, ratios[:2] - 0.8) ** 2))
+    shake = float(np.max(outcome.shake_rms_rad_s)) / SHAKE_GOAL_RAD_S
     hold = float(np.mean(outcome.hold_rms_m)) / HOLD_GOAL_M
-    return position + 0.15 * attitude + 0.1 * shake**2 + 0.05 * hold
+    return position + 0.15 * attitude + 2.0 * beyond + 0.1 * shake**2 + 0.05 * hold
 
 
 @dataclass(frozen=True, slots=True)
