@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from companion.config.errors import UserError
 
-COMMANDS = ("fly", "check", "analyze", "compare", "replay", "recover", "export", "tune")
+COMMANDS = ("fly", "check", "analyze", "compare", "identify", "replay", "recover", "export", "tune")
 """Each is a module of this package with `add_parser(subparsers)` and `run(arguments) -> int`."""
 
 _EPILOG = """examples:
