@@ -265,3 +265,29 @@ def test_the_profile_page_names_every_field() -> None:
     names = [name for name in fields(VehicleProfile) if name not in ("rotors", "limits", "responses")]
     names += [name for model in (Rotors, Limits, AutopilotResponse) for name in fields(model)]
     assert not [name for name in names if name not in section]
+
+
+def test_imports_go_the_way_the_architecture_page_says() -> None:
+    """A room imports from its own row of the picture or those below; nobody but tuning imports the stub."""
+    picture = (
+        (PROJECT / "docs" / "architecture.md")
+        .read_text()
+        .partition("## The house")[2]
+        .partition("sitl_stub/")[0]
+    )
+    rows = [re.findall(r"(?:^|\s)(\w+)/(?=\s)", row) for row in picture.split("↓")]
+    depth = {room: number for number, row in enumerate(rows) for room in row if room != "companion"}
+    folders = {path.name for path in (PROJECT / "companion").iterdir() if (path / "__init__.py").exists()}
+    assert set(depth) == folders
+    upwards, strangers = [], []
+    for file in sorted((PROJECT / "companion").glob("*/*.py")):
+        room = file.parent.name
+        for package, imported in re.findall(
+            r"^\s*(?:from|import) (companion|sitl_stub)\.(\w+)", file.read_text(), re.M
+        ):
+            if package == "sitl_stub":
+                strangers.append(room)
+            elif depth[imported] < depth[room]:
+                upwards.append(f"{file.name} imports companion.{imported}")
+    assert not upwards
+    assert set(strangers) <= {"tuning"}
