@@ -1,0 +1,292 @@
+"""Every reaction of the supervisor over the wire: what is sent, what is not, where the vehicle ends, how quickly."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from stub_flights import Flown, fly_short, interrupt, lockstep_stub
+
+from companion.control.law import ControlLaw
+from companion.control.structs import Setpoint, StepResult
+from companion.flight.outcome import Outcome
+from companion.flight.phases import Phase
+from companion.mavlink.link import Link, mav
+from companion.mavlink.state import StateAssembler
+from sitl_stub.stub_process import Stub
+
+pytestmark = pytest.mark.flight
+
+ALWAYS = 0.004  # m: a position error that any flight exceeds within a moment
+OFF = "flight.safety.position_error_m"
+
+
+@pytest.fixture
+def stub() -> Iterator[Stub]:
+    with lockstep_stub() as running:
+        yield running
+
+
+def only(reaction: str, *more: str) -> list[str]:
+    """Settings under which the position error has one rung, which is exceeded at once."""
+    rungs = dict.fromkeys(("warn", "non_adaptive", "hold", "land"), "off")
+    rungs["land"] = "[20.0, 0.0]"  # there has to be an end
+    rungs[reaction] = f"[{ALWAYS}, 0.0]"
+    if reaction in ("hand_back", "disarm"):
+        rungs["land"] = "off"
+    return [*(f"{OFF}.{name}={value}" for name, value in rungs.items()), *more]
+
+
+def safety_events(flown: Flown) -> list[dict]:
+    return [event.fields for event in flown.record.events_of("safety")]
+
+
+def entered(flown: Flown, reaction: str) -> float:
+    """When the machine came to a reaction, the autopilot's time."""
+    return next(
+        event.time_s
+        for event in flown.record.events_of("safety")
+        if event.fields["reaction"] == reaction and "before" in event.fields
+    )
+
+
+def setpoints(flown: Flown) -> tuple[np.ndarray, list]:
+    """Times and decoded SET_ATTITUDE_TARGETs as they went over the wire."""
+    codec = mav.MAVLink(None)
+    codec.robust_parsing = True
+    times_ns, frames = flown.record.mavlink["out"]
+    found = [(t, codec.decode(bytearray(f))) for t, f in zip(times_ns, frames, strict=True) if f[7] == 82]
+    times = (np.array([t for t, _ in found]) - flown.record.utc_offset_ns) * 1e-9
+    return times, [message for _, message in found]
+
+
+# The reactions -----------------------------------------------------------------------------------------
+
+
+def test_hold_comes_to_rest_stays_and_is_landed(stub, tmp_path):
+    flown = fly_short(stub, tmp_path, settings=["flight.safety.hold_s=4.0", *only("hold")])
+    assert flown.result.outcome is Outcome.ABORTED
+    assert "position_error_m" in flown.result.text and "held for 4.0 s" in flown.result.text
+    began, landed = entered(flown, "hold"), entered(flown, "land")
+    assert landed - began == pytest.approx(4.0, abs=0.011)
+    reference = flown.record.channel("/reference")
+    held = (reference.time_s > began + 2.5) & (reference.time_s < landed)
+    assert np.ptp(reference["position_enu"][held], axis=0).max() < 1e-9  # the reference stands
+    at_once = np.abs(np.diff(reference["position_enu"], axis=0)).max()
+    assert at_once < 0.02  # at 0.8 m/s and 100 Hz it moves 8 mm a step: no jump on the way there
+    state = flown.record.channel("/state")
+    still = (state.time_s > landed - 1.0) & (state.time_s < landed)
+    assert np.ptp(state["position_enu"][still], axis=0).max() < 0.2
+    assert flown.armed == [True, False]
+    assert "AUTO.LAND" in flown.modes
+
+
+def test_the_fall_back_switches_the_networks_off_without_a_bump(stub, tmp_path):
+    share = "flight.safety.network_share"
+    settings = [f"{share}.warn=off", f"{share}.freeze=off", f"{share}.non_adaptive=[0.03, 6.0]"]
+    flown = fly_short(stub, tmp_path, settings=settings)
+    assert flown.result.outcome is Outcome.COMPLETED  # it flies on
+    began = entered(flown, "non_adaptive")
+    terms, steps = flown.record.channel("/terms"), flown.record.channel("/law_input")
+    first = int(np.searchsorted(terms.time_s, began - 1e-9))
+    before = np.linalg.norm(terms["position_network_term"][first - 1])
+    assert before > 0.5  # newtons: there was something to hand over
+    assert np.abs(terms["position_network_term"][first]).max() < 1e-12
+    force, typical = terms["force"], np.abs(np.diff(terms["force"][first - 50 : first], axis=0)).max()
+    assert np.abs(force[first] - force[first - 1]).max() < max(0.1, 2.0 * typical)
+    assert steps["gate"][first] == 1.0  # FREEZE_WEIGHTS
+    weights = terms["position_weight_norm"][first : first + 50]
+    assert weights.max() == 0.0
+
+
+def test_hand_back_stops_the_setpoints_and_asks_for_a_hold(stub, tmp_path):
+    flown = fly_short(stub, tmp_path, settings=only("hand_back", "flight.safety.silence_s=2.0"))
+    assert flown.result.outcome is Outcome.HANDED_BACK
+    assert "position_error_m" in flown.result.text
+    assert flown.setpoints_after("safety", reaction="hand_back") == 0
+
+
+def test_disarm_stops_the_motors_where_it_is_configured(stub, tmp_path):
+    flown = fly_short(stub, tmp_path, settings=["flight.safety.allow_disarm=true", *only("disarm")])
+    assert flown.result.outcome is Outcome.ABORTED
+    assert "motors stopped" in flown.result.text
+    assert flown.armed == [True, False]
+    assert "AUTO.LAND" not in flown.modes
+
+
+def test_land_is_asked_for_within_a_state_and_taken_within_a_tenth_of_a_second(stub, tmp_path):
+    flown = fly_short(stub, tmp_path, settings=only("land"))
+    assert flown.result.outcome is Outcome.ABORTED
+    began = entered(flown, "land")
+    taken = next(e.time_s for e in flown.record.events_of("mode") if e.fields["mode"] == "AUTO.LAND")
+    assert taken - began < 0.1
+    assert flown.setpoints_after("safety", reaction="land") == 0
+    times, _ = setpoints(flown)
+    assert began - times[-1] < 0.021  # the last one belongs to the state before
+
+
+def test_each_reaction_is_logged_once_with_its_numbers(stub, tmp_path):
+    flown = fly_short(stub, tmp_path, settings=[f"{OFF}.warn=[{ALWAYS}, 0.0]"])
+    assert flown.result.outcome is Outcome.COMPLETED
+    began = [e for e in safety_events(flown) if e.get("quantity") == "position_error_m" and e["active"]]
+    ended = [e for e in safety_events(flown) if e.get("quantity") == "position_error_m" and not e["active"]]
+    assert 1 <= len(began) <= 3 and len(ended) in (len(began), len(began) - 1)
+    assert began[0]["limit"] == ALWAYS and began[0]["value"] > ALWAYS and began[0]["unit"] == "m"
+    assert sum(line.startswith("warn: position_error_m") for line in flown.reporter.lines) == len(began)
+
+
+# Bad numbers -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("level", ["attitude", "body_rate"])
+def test_a_law_that_returns_nan_never_reaches_the_wire(stub, tmp_path, monkeypatch, level):
+    broken: list[int] = []
+    sound = ControlLaw.step_packed
+
+    def step(self, memory, inputs):
+        result = sound(self, memory, inputs)
+        if not broken:
+            return result
+        broken.append(1)
+        nan = np.full(3, math.nan)
+        setpoint = result.setpoint
+        bad = Setpoint(setpoint.level, setpoint.thrust_newton, np.append(nan, 1.0), nan, setpoint.torque_flu)
+        return StepResult(result.memory, bad, result.terms)
+
+    monkeypatch.setattr(ControlLaw, "step_packed", step)
+    flown = fly_short(stub, tmp_path, {Phase.TRACK: lambda: broken.append(1)}, level=level)
+    assert flown.result.outcome is Outcome.ABORTED
+    assert "refused_setpoints 3 in a row" in flown.result.text
+    assert len(broken) == 1 + 3  # the fourth state finds three refusals
+    assert flown.armed == [True, False]
+    _, sent = setpoints(flown)
+    numbers = [[*m.q, m.body_roll_rate, m.body_pitch_rate, m.body_yaw_rate, m.thrust] for m in sent]
+    assert np.isfinite(numbers).all()
+    refused = [e for e in safety_events(flown) if e["reaction"] == "setpoint refused"]
+    assert len(refused) == 1 and refused[0]["reason"]
+
+
+def spoiled_positions(monkeypatch, spoil) -> list[int]:
+    """From when the returned list is not empty, `spoil` changes every LOCAL_POSITION_NED before it is taken."""
+    on: list[int] = []
+    sound = StateAssembler.take
+
+    def take(self, message):
+        if on and message.get_msgId() == mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED:
+            spoil(message)
+        return sound(self, message)
+
+    monkeypatch.setattr(StateAssembler, "take", take)
+    return on
+
+
+def test_positions_that_are_no_numbers_never_reach_the_law(stub, tmp_path, monkeypatch):
+    def spoil(message):
+        message.x = math.nan
+
+    on = spoiled_positions(monkeypatch, spoil)
+    flown = fly_short(stub, tmp_path, {Phase.TRACK: lambda: on.append(1)})
+    assert flown.result.outcome is Outcome.ABORTED
+    assert "position_age_s 0.4" in flown.result.text
+    inputs = flown.record.channel("/law_input")
+    assert np.isfinite(inputs.values).all()
+    began = flown.record.events_of("tracking")[0].time_s
+    reactions = {
+        e.fields["reaction"]: e.time_s - began
+        for e in flown.record.events_of("safety")
+        if "before" in e.fields
+    }
+    assert reactions["freeze"] == pytest.approx(0.21, abs=0.025)
+    assert reactions["land"] == pytest.approx(0.41, abs=0.025)
+    gates = inputs["gate"][inputs.time_s > began + 0.25]
+    assert gates.size and (gates == 2.0).all()  # FREEZE
+    assert flown.armed == [True, False]
+
+
+def test_a_position_that_is_stuck_is_not_believed_for_long(stub, tmp_path, monkeypatch):
+    last: list[tuple[float, float, float]] = []
+
+    def spoil(message):
+        last.append((message.x, message.y, message.z))
+        message.x, message.y, message.z = last[0]
+
+    on = spoiled_positions(monkeypatch, spoil)
+    flown = fly_short(stub, tmp_path, {Phase.TRACK: lambda: on.append(1)})
+    assert flown.result.outcome is Outcome.ABORTED
+    frozen = [e for e in safety_events(flown) if e.get("quantity") == "position_stuck_s"]
+    assert frozen and frozen[0]["reaction"] == "warn"
+
+
+def test_an_estimator_reset_moves_the_plan_and_does_not_kick_the_vehicle(stub, tmp_path, monkeypatch):
+    def spoil(message):
+        message.x += 1.0  # m north, from one message to the next
+
+    on = spoiled_positions(monkeypatch, spoil)
+    flown = fly_short(stub, tmp_path, {Phase.TRACK: lambda: on.append(1)})
+    assert flown.result.outcome is Outcome.COMPLETED
+    jump = next(e for e in safety_events(flown) if e.get("quantity") == "position_jump_m")
+    assert jump["reaction"] == "warn" and jump["value"] == pytest.approx(1.0, abs=0.02)
+    began = flown.record.events_of("tracking")[0].time_s
+    reference, state = flown.record.channel("/reference"), flown.record.channel("/state")
+    near = (reference.time_s > began) & (reference.time_s < began + 1.0)
+    at = np.searchsorted(state.time_s, reference.time_s[near])
+    error = np.linalg.norm(reference["position_enu"][near] - state["position_enu"][at], axis=1)
+    assert error.max() < 0.15  # a plan that stayed would be 1 m away
+    times, sent = setpoints(flown)
+    tilts = np.degrees([math.acos(1.0 - 2.0 * (m.q[1] ** 2 + m.q[2] ** 2)) for m in sent])
+    after = (times > began) & (times < began + 1.0)
+    before = (times > began - 2.0) & (times < began)
+    assert tilts[after].max() < max(
+        12.0, 2.0 * tilts[before].max()
+    )  # 1 m of error would ask for the full 35°
+
+
+# The pilot, and what cannot be sent ----------------------------------------------------------------------
+
+
+def test_moving_a_stick_takes_the_vehicle_away_from_us(stub, tmp_path, monkeypatch):
+    sticks = [1500, 1500, 1500, 1500]
+    sound, calls, moved = Link.receive, itertools.count(), []
+
+    def receive(self, timeout_s):
+        if moved and len(moved) < 2000:  # then nobody watches any more
+            moved.append(1)
+            if len(moved) == 2000:
+                interrupt()
+        if next(calls) % 20 == 0 and self.target_system is not None:
+            rest = [1500] * 14
+            return mav.MAVLink_rc_channels_message(0, 8, *sticks, *rest, 100)
+        return sound(self, timeout_s)
+
+    def move():
+        sticks[1] = 1750
+        moved.append(1)
+
+    monkeypatch.setattr(Link, "receive", receive)
+    flown = fly_short(stub, tmp_path, {Phase.TRACK: move}, ["flight.safety.silence_s=2.0"])
+    assert flown.result.outcome is Outcome.PILOT
+    assert "pitch by +25%" in flown.result.text
+    began = flown.record.events_of("tracking")[0].time_s
+    times, _ = setpoints(flown)
+    assert times[-1] - began < 0.2
+    assert "AUTO.LOITER" in flown.modes  # this pilot's sticks do not change PX4's mode by themselves
+
+
+def test_setpoints_that_cannot_be_sent_hand_the_vehicle_back(stub, tmp_path, monkeypatch):
+    sound, deaf = Link.send, []
+
+    def send(self, message):
+        if deaf and message.get_msgId() == mav.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET:
+            return False
+        return sound(self, message)
+
+    monkeypatch.setattr(Link, "send", send)
+    flown = fly_short(stub, tmp_path, {Phase.TRACK: lambda: deaf.append(1)}, ["flight.safety.silence_s=2.0"])
+    assert flown.result.outcome in (Outcome.HANDED_BACK, Outcome.PILOT)  # PX4 may have left our mode by then
+    began = flown.record.events_of("tracking")[0].time_s
+    assert entered(flown, "warn") - began < 0.13
+    if flown.result.outcome is Outcome.HANDED_BACK:
+        assert entered(flown, "hand_back") - began == pytest.approx(0.51, abs=0.03)
