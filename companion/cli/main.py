@@ -6,10 +6,22 @@ import argparse
 import importlib
 import sys
 from collections.abc import Sequence
+from types import ModuleType
 
 from companion.config.errors import UserError
 
-COMMANDS = ("fly", "check", "analyze", "compare", "identify", "replay", "recover", "export", "tune")
+COMMANDS = (
+    "fly",
+    "check",
+    "analyze",
+    "compare",
+    "identify",
+    "replay",
+    "recover",
+    "export",
+    "tune",
+    "pose-source",
+)
 """Each is a module of this package with `add_parser(subparsers)` and `run(arguments) -> int`."""
 
 _EPILOG = """examples:
@@ -30,10 +42,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name in COMMANDS:
-        importlib.import_module(f"companion.cli.{name}").add_parser(subparsers)
+        _module(name).add_parser(subparsers)
     parsed = parser.parse_args(arguments)
     try:
-        return int(importlib.import_module(f"companion.cli.{parsed.command}").run(parsed))
+        return int(_module(parsed.command).run(parsed))
     except UserError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
@@ -41,6 +53,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     except KeyboardInterrupt:
         return 130
+
+
+def _module(command: str) -> ModuleType:
+    return importlib.import_module(f"companion.cli.{command.replace('-', '_')}")
 
 
 if __name__ == "__main__":

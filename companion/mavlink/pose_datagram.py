@@ -73,7 +73,7 @@ def parse_pose(data: bytes) -> OutsidePose:
             if fields.get("covariance") is not None:
                 covariance = [float(v) for v in fields["covariance"]]
             resets = int(fields.get("reset_counter", 0)) % 256
-        except (ValueError, TypeError, KeyError, AttributeError, OverflowError):
+        except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError):
             raise BadPose("not readable") from None
         if len(position) != 3 or len(quaternion) != 4:
             raise BadPose("wrong length")

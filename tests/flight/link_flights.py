@@ -26,9 +26,7 @@ SHORT = {
     "flight.trajectory": "hover",
     "flight.duration_s": 1.0,
     "flight.control_rate_hz": 100.0,
-    "flight.takeoff_height_m": 0.6,
     "flight.procedure.hold_s": 0.5,
-    "flight.procedure.lift_off_rate": 2.0,
 }
 
 
