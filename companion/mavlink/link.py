@@ -28,6 +28,12 @@ OUR_COMPONENT = mav.MAV_COMP_ID_ONBOARD_COMPUTER  # 191
 HEARTBEAT_PERIOD_S = 1.0
 AUTOPILOT_COMPONENT = mav.MAV_COMP_ID_AUTOPILOT1
 _NOT_AUTOPILOTS = (mav.MAV_AUTOPILOT_INVALID,)
+_STAMPED_WITH_A_SETPOINT = (
+    mav.MAVLINK_MSG_ID_ATTITUDE_TARGET,
+    mav.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED,
+    mav.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT,
+)
+"""Their time is that of the last setpoint of their kind: PX4 flown at body rates repeats the last attitude's."""
 
 
 class FrameTap(Protocol):
@@ -203,7 +209,7 @@ class Link:
 
     def _note_time(self, message: Message) -> None:
         boot_ms = getattr(message, "time_boot_ms", None)
-        if boot_ms is None:
+        if boot_ms is None or message.get_msgId() in _STAMPED_WITH_A_SETPOINT:
             return
         boot_s = boot_ms * 1e-3
         # Streams are stamped when sampled, so small steps back are normal; a large one is a reboot.

@@ -169,6 +169,21 @@ def test_reboot_is_noticed_and_small_steps_back_are_not_one(wire):
     assert link.autopilot_time_s == 1.5
 
 
+def test_an_old_setpoint_is_no_reboot(wire):
+    """PX4 1.17 flown at body rates stamps ATTITUDE_TARGET with the last attitude setpoint: seen 16 s old."""
+    transport, link, _, autopilot = wire
+    transport.waiting.append(autopilot.frame(heartbeat()))
+    transport.waiting.append(autopilot.frame(local_position(42_900)))
+    transport.waiting.append(
+        autopilot.frame(
+            mav.MAVLink_attitude_target_message(26_092, 128, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0, 0.5)
+        )
+    )
+    all_messages(link)
+    assert link.counters["reboots"] == 0
+    assert link.autopilot_time_s == 42.9
+
+
 def test_silence_is_of_the_autopilot_not_of_the_wire(wire):
     transport, link, clock, autopilot = wire
     assert link.silence_s == float("inf")
