@@ -27,6 +27,18 @@ LONGEST_INTERVAL_US = 60_000_000
 FULL_STICK = 1000.0
 PWM_MIDDLE, PWM_HALF, PWM_LEAST, PWM_RANGE = 1500.0, 500.0, 1000.0, 1000.0
 INFO = 6
+FASTEST_M_S = 100.0
+HIGHEST_M = 83_000.0
+
+
+def whole(number: float) -> int:
+    """A command's float as a whole number; −1 where there is none."""
+    return int(number) if math.isfinite(number) else -1
+
+
+def is_place(latitude_deg: float, longitude_deg: float, altitude_m: float) -> bool:
+    """Whether these can be a place: NaN is none."""
+    return abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0 and abs(altitude_m) <= HIGHEST_M
 
 
 class ArduPilotCommands:
@@ -75,7 +87,7 @@ class ArduPilotCommands:
         return Result.ACCEPTED if self.autopilot.request_mode(mode.number) else Result.FAILED
 
     def _do_set_mode(self, link: Link, command: Command) -> Result | None:
-        return self._custom_mode(int(command.params[0]), int(command.params[1]))
+        return self._custom_mode(max(whole(command.params[0]), 0), whole(command.params[1]))
 
     def _custom_mode(self, base_mode: int, number: int) -> Result:
         if not base_mode & 1:
@@ -113,9 +125,9 @@ class ArduPilotCommands:
     def _change_speed(self, link: Link, command: Command) -> Result | None:
         kind, speed = command.params[:2]
         names = {0: "WPNAV_SPEED", 1: "WPNAV_SPEED", 2: "WPNAV_SPEED_UP", 3: "WPNAV_SPEED_DN"}
-        if not speed > 0.0 or int(kind) not in names:
+        if not 0.0 < speed < FASTEST_M_S or whole(kind) not in names:
             return Result.FAILED
-        self.autopilot.parameters.set(names[int(kind)], 100.0 * speed)
+        self.autopilot.parameters.set(names[whole(kind)], 100.0 * speed)
         return Result.ACCEPTED
 
     def _set_home(self, link: Link, command: Command) -> Result | None:
@@ -125,6 +137,8 @@ class ArduPilotCommands:
         if command.params[0] == 1.0:
             a.home_ned = a.core.position_ned.copy()
         else:
+            if not is_place(*command.params[4:7]):
+                return Result.DENIED
             north, east = a.say_messages.origin.local(command.params[4], command.params[5])
             a.home_ned[:] = (north, east, a.say_messages.origin.altitude_m - command.params[6])
         for other in a.links:
@@ -134,8 +148,10 @@ class ArduPilotCommands:
     def _reposition(self, link: Link, command: Command) -> Result | None:
         a = self.autopilot
         latitude, longitude, altitude = command.params[4:7]
+        if not is_place(latitude, longitude, altitude):
+            return Result.DENIED
         if a.mode is not Mode.GUIDED:
-            if not int(command.params[1]) & 1:
+            if not max(whole(command.params[1]), 0) & 1:
                 return Result.DENIED
             if not a.request_mode(Mode.GUIDED.number):
                 return Result.FAILED
@@ -164,7 +180,7 @@ class ArduPilotCommands:
     # --- streams -----------------------------------------------------------------------------------------------
     def _set_message_interval(self, link: Link, command: Command) -> Result | None:
         a = self.autopilot
-        number, interval_us = int(command.params[0]) & 0xFFFFFFFF, command.params[1]
+        number, interval_us = whole(command.params[0]) & 0xFFFFFFFF, command.params[1]
         if number not in a.streams.definitions:
             a.say_to(link, INFO, f"No ap_message for mavlink id ({number})")
             return Result.DENIED
@@ -183,7 +199,7 @@ class ArduPilotCommands:
 
     def _get_message_interval(self, link: Link, command: Command) -> Result | None:
         a = self.autopilot
-        number = int(command.params[0])
+        number = whole(command.params[0])
         stream = a.streams.of(link).streams.get(number)
         interval = 0
         if stream is not None:
@@ -222,8 +238,10 @@ class ArduPilotCommands:
         north, east = a.say_messages.origin.local(v["lat_int"] * 1e-7, v["lon_int"] * 1e-7)
         above_home = v["coordinate_frame"] in (3, 6, 10, 11)
         height = float(v["alt"]) - (float(a.home_ned[2]) if above_home else a.say_messages.origin.altitude_m)
-        if math.isfinite(height):
-            a.guided.go_to((north, east, height), None if v["type_mask"] & (1 << 10) else float(v["yaw"]))
+        heading = None if v["type_mask"] & (1 << 10) else float(v["yaw"])
+        known = is_place(v["lat_int"] * 1e-7, v["lon_int"] * 1e-7, float(v["alt"]))
+        if known and (heading is None or math.isfinite(heading)):
+            a.guided.go_to((north, east, height), heading)
 
     def _from_ground_station(self, message: Received) -> bool:
         return message.system == int(self.autopilot.parameters["MAV_GCS_SYSID"])

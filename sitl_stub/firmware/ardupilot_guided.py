@@ -35,6 +35,9 @@ THRUST_AS_THRUST = 8
 UNIT_LENGTH_TOLERANCE = 1e-3
 """|q|² may be this far off one."""
 FASTEST_SANE = 100.0
+"""m/s; ArduCopter checks speeds so, the stub accelerations too."""
+FURTHEST_SANE_M = 1e6
+"""Nothing is that far; ArduCopter does not check, and would set off."""
 TURNS_ALONG_ABOVE = 0.05
 """Share of WPNAV_SPEED above which the nose follows the path when no heading is given (WP_YAW_BEHAVIOR)."""
 
@@ -139,7 +142,10 @@ class Guided:
             )
         ]
         sane = all(math.isfinite(value) for vector in vectors for value in vector)
-        sane &= all(abs(value) <= FASTEST_SANE for value in vectors[1])
+        sane &= all(abs(value) <= FASTEST_SANE for vector in vectors[1:] for value in vector)
+        sane &= all(abs(value) <= FURTHEST_SANE_M for value in vectors[0])
+        sane &= bool(mask & IGNORE_YAW) or math.isfinite(v["yaw"])
+        sane &= bool(mask & IGNORE_YAW_RATE) or math.isfinite(v["yaw_rate"])
         if target is None or not known or not sane or (mask & IS_FORCE and has_acceleration):
             self.brake()
             return

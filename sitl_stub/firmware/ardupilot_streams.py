@@ -11,6 +11,8 @@ import struct
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from sitl_stub.firmware import ardupilot_layout as at
 from sitl_stub.firmware.ardupilot_guided import Target
 from sitl_stub.firmware.ardupilot_modes import Mode
@@ -453,7 +455,8 @@ class ArduPilotMessages:
         s = a.core.setpoint
         if not a.armed or s[at.LATERAL] != at.LATERAL_POSITION or s[at.NE_KIND] > at.KIND_TRAJECTORY:
             return None
-        latitude, longitude = self.origin.globe_e7(float(s[at.POSITION]), float(s[at.POSITION + 1]))
+        far = np.clip(s[at.POSITION : at.POSITION + 2], -1e6, 1e6).tolist()
+        latitude, longitude = self.origin.globe_e7(*far)
         altitude = self.origin.altitude_m + float(s[at.POSITION + 2])
         zeros = (0.0,) * 8
         return (a.time_us // 1000, latitude, longitude, altitude, *zeros, 0xFDF8, 0)
