@@ -42,7 +42,13 @@ from companion.reference.trajectory import Frame, Placed, Trajectory, place
 from companion.reference.transit import TransitLimits
 
 _PROGRESS_S = 1.0
-REAL_TIME_TOLERANCE = 0.01  # of the time passed: a lockstep simulation runs at any other speed
+_STANDING = (
+    Phase.PROVE,
+    Phase.ENGAGE,
+    Phase.ARM,
+)  # idle setpoints go out, which must never meet a flying vehicle
+_FLYING = (mav.MAV_LANDED_STATE_IN_AIR, mav.MAV_LANDED_STATE_TAKEOFF)
+REAL_TIME_TOLERANCE = 0.02  # of the time passed: a lockstep simulation runs at any other speed
 _DISARM_TIMEOUT_S = 1.5  # until HEARTBEAT shows what a COMMAND_ACK has said
 
 
@@ -242,7 +248,9 @@ class Flight:
         vehicle, link, settings = self._vehicle, self._vehicle.link, self._settings
         autopilot_s = link.autopilot_time_s - self._clocks_s[0]
         ours_s = time.monotonic() - self._clocks_s[1]
-        self._real_time = link.timesync.steady and abs(autopilot_s - ours_s) < REAL_TIME_TOLERANCE * ours_s
+        apart_s = abs(autopilot_s - ours_s)
+        self._real_time = link.timesync.steady and apart_s < 0.05 + REAL_TIME_TOLERANCE * ours_s
+        self._recorder.log.metadata("wall clock", {"real_time": str(self._real_time)})
         self._supervisor = Supervisor(
             settings.safety,
             law_bounds(self._loop.law),
@@ -414,9 +422,17 @@ class Flight:
             if self._interrupts.count > 1:
                 raise HandedBack("interrupted again: handed back to the autopilot at once")
             raise Interrupted("by Ctrl-C or SIGTERM")
+        vehicle = self._vehicle
+        if self.phase in _STANDING and vehicle.status.landed_state in _FLYING:
+            if self._engaged:
+                raise HandedBack(
+                    "the vehicle was in the air when our mode began, and idle setpoints let it fall"
+                )
+            raise Refused(
+                "the vehicle is flying; a flight begins on the ground, with --wait-for-offboard too"
+            )
         if not self._engaged:
             return
-        vehicle = self._vehicle
         if not vehicle.adapter.is_mode(vehicle.status.custom_mode, Intent.EXTERNAL):
             raise PilotTookOver(f"mode is now {vehicle.adapter.mode_name(vehicle.status.custom_mode)}")
         if self._armed_by_now and not vehicle.status.armed:

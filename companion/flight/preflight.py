@@ -72,6 +72,7 @@ class Preflight:
                 )
         wished = {
             mav.MAVLINK_MSG_ID_ATTITUDE_TARGET: 50.0,
+            mav.MAVLINK_MSG_ID_HEARTBEAT: 10.0,  # nothing else says that the vehicle was disarmed
             mav.MAVLINK_MSG_ID_SYS_STATUS: 5.0,
             mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
             mav.MAVLINK_MSG_ID_CURRENT_MODE: 20.0,

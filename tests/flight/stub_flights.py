@@ -99,12 +99,13 @@ def fly_short(
     settings: Sequence[str] = (),
     level: str = "attitude",
     trajectory: str = "lemniscate",
+    **options: bool,
 ) -> Flown:
     """Fly SHORT in this process and read the log back."""
     loaded = load_settings("qball2", {"level": level, "trajectory": trajectory}, [*SHORT, *settings])
     reporter, log = Watching(at or {}), folder / "flight.mcap"
-    options = SessionOptions(Connection(parse_endpoint(stub.endpoint)), log, overwrite=True)
-    result = fly(loaded, options, reporter)
+    session = SessionOptions(Connection(parse_endpoint(stub.endpoint)), log, overwrite=True, **options)
+    result = fly(loaded, session, reporter)
     return Flown(result, read_log(log), reporter, log)
 
 

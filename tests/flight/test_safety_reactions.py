@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import itertools
 import math
+import time
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
 from stub_flights import Flown, fly_short, interrupt, lockstep_stub
+from stub_flights import Pilot as GroundPilot
 
 from companion.control.law import ControlLaw
 from companion.control.structs import Setpoint, StepResult
+from companion.flight.flight import Flight
 from companion.flight.outcome import Outcome
 from companion.flight.phases import Phase
 from companion.mavlink.link import Link, mav
@@ -61,6 +64,15 @@ def setpoints(flown: Flown) -> tuple[np.ndarray, list]:
     found = [(t, codec.decode(bytearray(f))) for t, f in zip(times_ns, frames, strict=True) if f[7] == 82]
     times = (np.array([t for t, _ in found]) - flown.record.utc_offset_ns) * 1e-9
     return times, [message for _, message in found]
+
+
+def commands(flown: Flown) -> list:
+    """The COMMAND_LONGs we sent, decoded."""
+    codec = mav.MAVLink(None)
+    _, frames = flown.record.mavlink["out"]
+    return [
+        codec.decode(bytearray(f)) for f in frames if f[7] == mav.MAVLINK_MSG_ID_COMMAND_LONG and f[8] == 0
+    ]
 
 
 # The reactions -----------------------------------------------------------------------------------------
@@ -290,3 +302,71 @@ def test_setpoints_that_cannot_be_sent_hand_the_vehicle_back(stub, tmp_path, mon
     assert entered(flown, "warn") - began < 0.13
     if flown.result.outcome is Outcome.HANDED_BACK:
         assert entered(flown, "hand_back") - began == pytest.approx(0.51, abs=0.03)
+
+
+# Our own thread, and a vehicle that flies already ----------------------------------------------------------
+
+
+def test_a_loop_that_hangs_sends_nothing_and_lands_when_it_wakes(stub, tmp_path, monkeypatch):
+    """The watchdog runs in real time only; here it is started by hand, so that a busy machine does not fly badly."""
+    sound = Flight._watch_over
+
+    def watch_over(self, ground):
+        watching = sound(self, ground)
+        watching.watchdog.start()
+        return watching
+
+    monkeypatch.setattr(Flight, "_watch_over", watch_over)
+    settings = ["flight.safety.stall_s=1.0"]
+    flown = fly_short(stub, tmp_path, {Phase.TRACK: lambda: time.sleep(2.5)}, settings)
+    assert flown.result.outcome is Outcome.ABORTED
+    assert "the control loop stood still for 2." in flown.result.text
+    stalled = next(e for e in safety_events(flown) if e["reaction"] == "loop stalled")
+    assert 1.0 < stalled["value"] < 2.0  # told while it hung, by the thread that watches
+    tracking = flown.record.events_of("tracking")[0].time_s
+    times, _ = setpoints(flown)
+    assert (times > tracking + 0.011).sum() == 0  # neither while it hung nor what was begun before
+    assert "AUTO.LAND" in flown.modes
+    assert flown.armed == [True, False]
+
+
+def test_a_vehicle_that_flies_already_is_never_given_idle_setpoints(tmp_path):
+    """Armed and taken off by its pilot while we wait for the switch to offboard."""
+    pilot = GroundPilot()
+
+    def take_off():
+        pilot.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
+        pilot.command(mav.MAV_CMD_NAV_TAKEOFF, -1.0, 0.0, 0.0, math.nan, math.nan, math.nan, 10.0)
+
+    with lockstep_stub(*pilot.options) as stub:
+        flown = fly_short(stub, tmp_path, {Phase.ENGAGE: take_off}, wait_for_offboard=True)
+    pilot.close()
+    assert flown.result.outcome is Outcome.REFUSED
+    assert "the vehicle is flying" in flown.result.text
+    assert "OFFBOARD" not in flown.modes
+    assert flown.armed == [True]
+
+
+def test_the_switch_to_offboard_can_be_the_pilots(tmp_path):
+    pilot = GroundPilot()
+    with lockstep_stub(*pilot.options) as stub:
+        at = {Phase.ENGAGE: lambda: pilot.mode(6, 0)}
+        flown = fly_short(stub, tmp_path, at, wait_for_offboard=True)
+    pilot.close()
+    assert flown.result.outcome is Outcome.COMPLETED
+    modes = [m.param2 for m in commands(flown) if m.command == mav.MAV_CMD_DO_SET_MODE]
+    assert 6.0 not in modes  # never asked for by us
+
+
+@pytest.mark.parametrize("phase", [Phase.LIFT_OFF, Phase.TRACK])
+def test_a_pilot_who_disarms_is_not_armed_again(tmp_path, phase):
+    """21196 kills the motors in the air too."""
+    pilot = GroundPilot()
+    with lockstep_stub(*pilot.options) as stub:
+        kill = {phase: lambda: pilot.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, 21196.0)}
+        flown = fly_short(stub, tmp_path, kill)
+    pilot.close()
+    assert flown.result.outcome is Outcome.PILOT
+    assert "disarmed" in flown.result.text
+    assert flown.armed == [True, False]
+    assert flown.setpoints_after("armed", armed=False) <= 1  # the one that was under way
