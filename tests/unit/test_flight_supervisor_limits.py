@@ -1,6 +1,8 @@
 """The limits as settings: overridable one rung at a time, never harder before softer, never without an end."""
 
 import itertools
+import re
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -111,3 +113,13 @@ def test_the_safety_page_has_a_measured_time_for_every_limit():
 def test_a_page_without_its_block_is_not_silently_left_alone():
     with pytest.raises(ValueError, match="limits"):
         safety_page.with_block("nothing here", "limits", "x")
+
+
+def test_the_safety_case_names_tests_that_exist():
+    page = safety_page.PAGE.read_text(encoding="utf-8")
+    named = set(re.findall(r"`(test_\w+)`", page))
+    tests = "\n".join(
+        path.read_text(encoding="utf-8") for path in Path(__file__).parents[1].rglob("test_*.py")
+    )
+    missing = {name for name in named if f"def {name}(" not in tests}
+    assert len(named) > 15 and not missing
