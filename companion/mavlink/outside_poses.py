@@ -169,7 +169,7 @@ class OutsidePoses:
             covariance,
             [math.nan] * 21,
             self._resets % 256,
-            mav.MAV_ESTIMATOR_TYPE_MOCAP,
+            mav.MAV_ESTIMATOR_TYPE_VISION,  # PX4's EKF2 never sees what comes as …_MOCAP
             100,
         )
 

@@ -55,7 +55,7 @@ def test_position_and_attitude_in_ned_frd(poses: OutsidePoses) -> None:
     assert message.q[0] * message.q[3] > 0
     assert (message.frame_id, message.child_frame_id) == (mav.MAV_FRAME_LOCAL_NED, mav.MAV_FRAME_BODY_FRD)
     assert math.isnan(message.vx) and math.isnan(message.pose_covariance[0])
-    assert message.estimator_type == mav.MAV_ESTIMATOR_TYPE_MOCAP
+    assert message.estimator_type == mav.MAV_ESTIMATOR_TYPE_VISION
 
 
 def test_banked_right_heading_north(poses: OutsidePoses) -> None:
