@@ -25,6 +25,7 @@ from companion.mavlink.link import Link
 SHORT = {
     "flight.trajectory": "hover",
     "flight.duration_s": 1.0,
+    "flight.procedure.connect_timeout_s": 120.0,  # the stub may be compiling
     "flight.control_rate_hz": 100.0,
     "flight.procedure.hold_s": 0.5,
 }

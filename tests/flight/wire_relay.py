@@ -86,6 +86,7 @@ class TcpWire:
     def read(self, source: int) -> list[bytes]:
         if source == self.listener.fileno():
             self.connection = self.listener.accept()[0]
+            self.connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self.accepted += 1
             return []
         connection = self.connection
@@ -104,9 +105,9 @@ class TcpWire:
 
 
 class SerialWire:
-    """A pseudo-terminal as a serial port of `baud` bit/s: 10 bits a byte, each way, and no more than that passes."""
+    """A pseudo-terminal as a serial port of `baud` bit/s: 10 bits a byte, and no faster than that."""
 
-    BURST_BYTES = 4096  # what a UART's driver buffers; beyond it bytes are lost, as on a real one
+    BURST_BYTES = 512  # what a UART's driver buffers; what is more has to wait
 
     def __init__(self, path: Path, baud: int) -> None:
         self.path = path
@@ -146,10 +147,9 @@ class SerialWire:
         now = time.monotonic()
         self._credit = min(self.BURST_BYTES, self._credit + (now - self._since) * self.rate)
         self._since = now
-        if self.master < 0 or len(data) > self._credit:
-            self.dropped += len(data)
-            return
         self._credit -= len(data)
+        if self._credit < 0.0:
+            time.sleep(-self._credit / self.rate)
         try:
             self.carried += os.write(self.master, data)
         except OSError:
