@@ -63,7 +63,7 @@ def companion_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="companion", exit_on_error=False)
     subparsers = parser.add_subparsers(dest="command", required=True)
     for name in COMMANDS:
-        importlib.import_module(f"companion.cli.{name}").add_parser(subparsers)
+        importlib.import_module(f"companion.cli.{name.replace('-', '_')}").add_parser(subparsers)
     return parser
 
 
