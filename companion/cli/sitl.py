@@ -43,6 +43,7 @@ def running_stub(firmware: str, seed: int, options: Sequence[str]) -> Iterator[s
         "--port",
         "0",
         "--json",
+        "--die-with-parent",  # also when we are killed
     ]
     process = subprocess.Popen(
         [*command, *options],
