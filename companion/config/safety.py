@@ -1,7 +1,7 @@
 """The supervisor's limits: what is watched, from which value on, for how long, and what then happens.
 
 Every watched quantity has a ladder of reactions from soft to hard; each rung is `[threshold, seconds]` or "off", and
-any of them can be changed: `--set flight.safety.position_error_m.land=[1.0, 0.3]`. A rung that is harder may not
+any of them can be changed: `--set flight.safety.position_error_m.land=[1.4, 0.3]`. A rung that is harder may not
 come before a softer one of the same quantity; such settings are refused.
 """
 
