@@ -15,6 +15,7 @@ from companion.control.structs import ControlLevel
 from companion.flight.outcome import Refused, WaitedTooLong
 from companion.flight.reporter import Reporter
 from companion.flight.vehicle import Vehicle
+from companion.mavlink.bandwidth import POSITION_RATE_HZ, spare_rate
 from companion.mavlink.link import Message, mav
 from companion.mavlink.protocol import message_interval, request_message
 
@@ -24,7 +25,16 @@ _ROUND_TRIP_WARNED_S, _ROUND_TRIP_REFUSED_S = 0.05, 0.25
 _LOSS_WARNED, _LOSS_REFUSED = 0.01, 0.2
 _BATTERY_WARNED, _BATTERY_REFUSED = 0.4, 0.2
 _HOVER_MISMATCH = 0.25
-_POSITION_RATE_HZ = 100.0
+
+GOOD_TO_HAVE_HZ = {
+    mav.MAVLINK_MSG_ID_ATTITUDE_TARGET: 50.0,
+    mav.MAVLINK_MSG_ID_HEARTBEAT: 10.0,  # nothing else says that the vehicle was disarmed
+    mav.MAVLINK_MSG_ID_SYS_STATUS: 5.0,
+    mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
+    mav.MAVLINK_MSG_ID_CURRENT_MODE: 20.0,
+    mav.MAVLINK_MSG_ID_RC_CHANNELS: 10.0,
+}
+"""Messages a flight can do with fewer of, Hz; beside them the simulator's truth and the estimator's flags."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +59,10 @@ class Preflight:
         procedure: Procedure,
         profile: VehicleProfile,
         reporter: Reporter,
+        spare_share: float = 1.0,
     ) -> None:
+        """`spare_share`: how much of the messages that are only good to have the line carries (`LinePlan`)."""
+        self._spare_share = spare_share
         self._vehicle = vehicle
         self._level = level
         self._rate_hz = rate_hz
@@ -62,7 +75,7 @@ class Preflight:
         """Ask for what a flight needs, and for what is good to have in its log."""
         vehicle = self._vehicle
         needed = {
-            mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED: min(self._rate_hz, _POSITION_RATE_HZ),
+            mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED: min(self._rate_hz, POSITION_RATE_HZ),
             mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: self._rate_hz,
         }
         for message_id, rate in needed.items():
@@ -71,17 +84,13 @@ class Preflight:
                     f"the autopilot refused message {message_id} at {rate:g} Hz; using what it sends"
                 )
         wished = {
-            mav.MAVLINK_MSG_ID_ATTITUDE_TARGET: 50.0,
-            mav.MAVLINK_MSG_ID_HEARTBEAT: 10.0,  # nothing else says that the vehicle was disarmed
-            mav.MAVLINK_MSG_ID_SYS_STATUS: 5.0,
-            mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
-            mav.MAVLINK_MSG_ID_CURRENT_MODE: 20.0,
-            mav.MAVLINK_MSG_ID_RC_CHANNELS: 10.0,
+            **GOOD_TO_HAVE_HZ,
             vehicle.adapter.truth_message_id: 50.0,
             vehicle.adapter.estimator_message_id: 5.0,
         }
         for message_id, rate in wished.items():
-            vehicle.command(message_interval(message_id, rate))  # a refusal is an answer too
+            # a refusal is an answer too
+            vehicle.command(message_interval(message_id, spare_rate(rate, self._spare_share)))
         vehicle.command(request_message(mav.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN))
 
     def parameter_findings(self) -> list[Finding]:
@@ -191,7 +200,7 @@ class Preflight:
         )
         position_hz = measured.position_rate_hz
         position = _graded(
-            position_hz >= 0.5 * min(wanted_hz, _POSITION_RATE_HZ),
+            position_hz >= 0.5 * min(wanted_hz, POSITION_RATE_HZ),
             position_hz >= 5.0,
             "position stream",
             f"{position_hz:.0f} Hz",

@@ -10,7 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
 
@@ -30,13 +30,15 @@ from companion.flight.flight import Flight, FlightRequest, FlightResult, Interru
 from companion.flight.outcome import Refused
 from companion.flight.phases import Phase
 from companion.flight.plan import FlightPlan
-from companion.flight.preflight import Preflight
+from companion.flight.preflight import GOOD_TO_HAVE_HZ, Preflight
 from companion.flight.recorder import Recorder
 from companion.flight.reporter import Reporter
 from companion.flight.setpoint_gate import SetpointGate
 from companion.flight.vehicle import Vehicle
 from companion.flightlog.writer import FlightLog
+from companion.mavlink.bandwidth import LinePlan, describe, plan_line
 from companion.mavlink.connection import Connection
+from companion.mavlink.link import mav
 from companion.mavlink.outside_poses import DEFAULT_RATE_HZ, OutsidePoses
 from companion.reference.feasibility import VehicleLimits, check_feasibility
 from companion.reference.registry import trajectory_from_text
@@ -67,6 +69,7 @@ def fly(settings: Settings, options: SessionOptions, reporter: Reporter) -> Flig
     Raises:
         UserError: the flight could not begin for a reason that the user can mend.
     """
+    settings, plan = _fitted(settings, options.connection, reporter)
     trajectory = trajectory_from_text(settings.flight.trajectory)
     _law(settings, None).warm_up()  # seconds, so before anybody is listening to us
     Predictor(settings.profile, settings.level)
@@ -107,7 +110,7 @@ def fly(settings: Settings, options: SessionOptions, reporter: Reporter) -> Flig
             def check_plan(plan: FlightPlan, ground_m: float) -> None:
                 _check_plan(settings, plan, ground_m)
 
-            preflight = _preflight(settings, vehicle, reporter)
+            preflight = _preflight(settings, vehicle, reporter, plan)
             with _signals(Interrupts()) as interrupts:
                 flight = Flight(
                     vehicle,
@@ -137,13 +140,14 @@ def check(settings: Settings, connection: Connection, reporter: Reporter, fix: b
         UserError: nobody there.
         FlightEnd: the link broke off.
     """
+    settings, plan = _fitted(settings, connection, reporter)
     link = connection.open(reporter.say)
     try:
         vehicle = Vehicle(link, settings.flight.safety.silence_s)
         vehicle.connect(settings.flight.procedure.connect_timeout_s)
         version = ".".join(map(str, vehicle.version))
         reporter.say(f"{vehicle.adapter.name} {version}, system {link.target_system}")
-        preflight = _preflight(settings, vehicle, reporter)
+        preflight = _preflight(settings, vehicle, reporter, plan)
         preflight.ask_for_streams()
         findings = preflight.parameter_findings()
         if fix:
@@ -156,9 +160,27 @@ def check(settings: Settings, connection: Connection, reporter: Reporter, fix: b
         link.close()
 
 
-def _preflight(settings: Settings, vehicle: Vehicle, reporter: Reporter) -> Preflight:
+def _preflight(settings: Settings, vehicle: Vehicle, reporter: Reporter, plan: LinePlan | None) -> Preflight:
     flight = settings.flight
-    return Preflight(vehicle, settings.level, flight.rate_hz, flight.procedure, settings.profile, reporter)
+    share = plan.spare_share if plan is not None else 1.0
+    return Preflight(
+        vehicle, settings.level, flight.rate_hz, flight.procedure, settings.profile, reporter, share
+    )
+
+
+def _fitted(
+    settings: Settings, connection: Connection, reporter: Reporter
+) -> tuple[Settings, LinePlan | None]:
+    """Settings whose rates the line can carry. Raises UserError where none would do."""
+    wished_hz = settings.flight.rate_hz
+    spare = {**GOOD_TO_HAVE_HZ, mav.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 5.0}
+    signed = connection.signing_key is not None
+    plan = plan_line(connection.endpoint, wished_hz, settings.level.minimum_rate_hz, spare, signed)
+    if plan is None:
+        return settings, None
+    reporter.say(describe(plan, wished_hz))
+    flight = settings.flight.model_copy(update={"control_rate_hz": plan.rate_hz})
+    return replace(settings, flight=flight), plan
 
 
 def _control_loop(
