@@ -1,0 +1,179 @@
+"""`companion fly` as its user meets it: what it prints, what it writes, how it ends, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from stub_flights import companion_process, fly_short, lockstep_stub
+
+from companion.analysis.metrics import flight_metrics
+from companion.flight.outcome import Outcome
+from companion.flightlog.digest import differences, digest
+from companion.flightlog.reader import read_log
+
+pytestmark = pytest.mark.flight
+REPORTED_RMS_M = (0.0448, 0.0216, 0.0238)  # the report's DTLANNC
+
+
+def run(*arguments, folder):
+    """`companion` with these arguments: exit code, standard output, lines of standard error."""
+    done = subprocess.run(  # noqa: PLW1510 the exit code is what is looked at
+        [sys.executable, "-m", "companion.cli.main", *arguments],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=280,
+    )
+    return done.returncode, done.stdout, done.stderr.splitlines()
+
+
+# One whole flight ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="session")
+def plain(tmp_path_factory):
+    """The report's flight, whole, by the command: exit code, JSON, words, log."""
+    folder = tmp_path_factory.mktemp("plain")
+    code, output, said = run("fly", "--sitl", "px4", "--json", "--log", "flight.mcap", folder=folder)
+    assert code == 0, said
+    return json.loads(output), said, folder / "flight.mcap"
+
+
+def test_the_flight_is_better_than_the_report(plain):
+    result, _, _ = plain
+    assert result["ended"] == "completed"
+    assert np.all(np.array(result["rms"]["position_truth_m"]) < REPORTED_RMS_M)
+    assert np.all(np.array(result["rms"]["position_truth_m"]) > 1e-3)  # measured, not made up
+    assert result["window_s"][1] - result["window_s"][0] == pytest.approx(40.0, abs=0.1)
+
+
+def test_the_json_has_what_it_promises(plain):
+    result, _, log = plain
+    for key in ("position_truth_m", "position_estimate_m", "attitude_deg"):
+        assert len(result["rms"][key]) == 3
+    assert result["controller"] == "dtlannc"
+    assert result["level"] == "attitude"
+    assert result["firmware"].startswith("PX4 1.17")
+    assert result["mass_ratio"] == pytest.approx(0.7)
+    assert str(result["seed"]) == "1"
+    assert result["log"] == log.name
+
+
+def test_the_json_is_what_the_log_says(plain):
+    result, _, log = plain
+    metrics, _ = flight_metrics(read_log(log), None, None)
+    assert metrics.to_json()["rms"] == result["rms"]
+
+
+def test_phases_are_told_in_order_and_standard_error_has_no_traceback(plain):
+    _, said, _ = plain
+    phases = [line.strip("[]") for line in said if line.startswith("[")]
+    assert phases == [
+        *("connect", "check", "ready", "prove setpoints", "engage", "arm", "lift-off", "climb"),
+        *("go to start", "hold", "run-in", "track", "run-out", "return", "land", "done"),
+    ]
+    assert not any("Traceback" in line for line in said)
+
+
+def test_the_log_holds_all_of_the_flight(plain):
+    record = read_log(plain[2])
+    assert record.cut == ""
+    for topic in ("/state", "/reference", "/setpoint", "/truth", "/timing"):
+        channel = record.channel(topic)
+        assert channel is not None and len(channel) > 500, topic
+    assert {"in", "out"} <= set(record.mavlink)
+    assert record.flight["controller"] == "dtlannc"
+    assert [event.fields["armed"] for event in record.events_of("armed")] == [True, False]
+
+
+# Levels and repeatability -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("firmware", "level"), [("px4", "attitude"), ("px4", "body_rate"), ("px4-1.13", "actuator")]
+)
+def test_every_level_flies_and_the_same_seed_gives_the_same_log(tmp_path, firmware, level):
+    flights = []
+    for name in ("first", "second"):
+        folder = tmp_path / name
+        folder.mkdir()
+        with lockstep_stub(firmware=firmware, seed=7) as stub:
+            flights.append(fly_short(stub, folder, level=level))
+    first, second = flights
+    assert first.result.outcome is second.result.outcome is Outcome.COMPLETED
+    metrics, _ = flight_metrics(first.record, None, None)
+    assert max(metrics.to_json()["rms"]["position_truth_m"]) < 0.1
+    assert differences(first.log, second.log) == []
+    assert digest(first.log) == digest(second.log)
+
+
+def test_another_seed_of_the_stub_gives_another_log(tmp_path):
+    logs = []
+    for seed in (7, 8):
+        folder = tmp_path / str(seed)
+        folder.mkdir()
+        with lockstep_stub(seed=seed) as stub:
+            logs.append(fly_short(stub, folder).log)
+    assert digest(logs[0]) != digest(logs[1])
+
+
+def test_actuator_controls_on_new_firmware_are_refused_on_the_ground(tmp_path):
+    with lockstep_stub() as stub:
+        flown = fly_short(stub, tmp_path, level="actuator")
+    assert flown.result.outcome is Outcome.REFUSED
+    assert flown.result.outcome.exit_code == 2
+    assert "takes SET_ACTUATOR_CONTROL_TARGET up to 1.13 only" in flown.result.text
+    assert "fly at --level body_rate" in flown.result.text
+    assert flown.armed in ([], [False])
+
+
+# Signals ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
+def test_a_signal_lands_and_the_result_is_printed(tmp_path, number):
+    arguments = ["fly", "--sitl", "px4", "--duration", "200", "--log", "flight.mcap", "--json"]
+    with companion_process(arguments, tmp_path) as companion:
+        companion.until_said("[track]")
+        companion.process.send_signal(number)
+        code, output = companion.end()
+    assert code == 3, companion.lines
+    assert json.loads(output)["ended"] == "interrupted"
+    record = read_log(tmp_path / "flight.mcap")
+    assert record.cut == ""
+    assert [event.fields["armed"] for event in record.events_of("armed")] == [True, False]
+    assert not any("Traceback" in line for line in companion.lines)
+
+
+# The stub's life ---------------------------------------------------------------------------------------
+
+
+def test_the_stub_goes_when_the_companion_is_killed(tmp_path):
+    with companion_process(["fly", "--sitl", "px4", "--log", "cut.mcap"], tmp_path) as companion:
+        companion.until_said("[connect]")
+        pid = companion.process.pid
+        children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+        assert children
+        companion.process.kill()
+        companion.process.wait()
+    for _ in range(100):
+        left = [pid for pid in children if _is_running(pid)]
+        if not left:
+            return
+        time.sleep(0.1)
+    raise AssertionError(f"still running: {left}")
+
+
+def _is_running(pid):
+    try:
+        with open(f"/proc/{pid}/stat") as status:
+            return status.read().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
