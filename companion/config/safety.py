@@ -184,7 +184,7 @@ class SafetyLimits(SettingsModel):
     )
     """Length of the velocity's difference from the reference."""
     attitude_error_deg: Ladder = Ladder(
-        warn=(20.0, 0.3), freeze=(25.0, 0.3), hold=(35.0, 0.4), land=(50.0, 0.3)
+        warn=(30.0, 0.3), freeze=(35.0, 0.3), hold=(45.0, 0.4), land=(60.0, 0.3)
     )
     """Angle between the vehicle's thrust axis and the one last asked for."""
     yaw_error_deg: Ladder = Ladder(warn=(30.0, 1.0), hold=(60.0, 1.0), land=(120.0, 1.0))
@@ -218,9 +218,10 @@ class SafetyLimits(SettingsModel):
     weight_norm: Ladder = Ladder(warn=(0.9, 1.0), freeze=(0.98, 1.0), non_adaptive=(0.98, 3.0))
     """Larger of both networks' weight norms, as a share of its bound."""
     network_share: Ladder = Ladder(
-        warn=(0.6, 0.5), freeze=(0.7, 0.5), non_adaptive=(0.8, 0.5), land=(0.95, 2.0)
+        warn=(0.75, 0.5), freeze=(0.85, 0.5), non_adaptive=(0.92, 0.5), land=(0.98, 2.0)
     )
-    """The position network's force as a share of the whole force: its authority limit."""
+    """The position network's force as a share of the whole force: its authority limit. NNSMC has no integral, so its
+    network carries the weight that m̂ does not know of: 0.67 of it at m̂ = 70 %."""
     lyapunov_rise: Ladder = Ladder(
         warn=(3.0, 0.5), freeze=(4.0, 0.5), non_adaptive=(5.0, 0.5), hold=(6.5, 0.5)
     )

@@ -203,11 +203,11 @@ def test_a_silent_state_is_noticed_by_the_autopilots_time_alone():
 def test_the_gate_of_adaptation_follows_the_reactions_that_act():
     scene = Scene(SafetyLimits())
     assert scene.step().gate is AdaptationGate.RUN
-    scene.network = 0.75
+    scene.network = 0.87
     for _ in range(51):
         judgement = scene.step()
     assert (judgement.reaction, judgement.gate) == (Reaction.FREEZE, AdaptationGate.FREEZE)
-    scene.network = 0.85
+    scene.network = 0.94
     for _ in range(51):
         judgement = scene.step()
     assert judgement.reaction is Reaction.NON_ADAPTIVE
