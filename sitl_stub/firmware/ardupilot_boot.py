@@ -21,6 +21,7 @@ AHRS_READY_S = 22.2
 ACCELEROMETERS_AGREE_S = 22.9
 FIRST_REPORT_US, REPORTS_EVERY_US = 30_440_000, 31_000_000
 YAW_ALIGNED_ABOVE_M = 2.5
+IN_AIR_ABOVE_M = 0.05
 HARD_LANDING_M_S = 0.1
 """The simulator tells of touch-downs faster than this."""
 CRITICAL, INFO = 2, 6
@@ -114,7 +115,8 @@ class Happenings:
     def __init__(self, autopilot: ArduPilot) -> None:
         self.autopilot = autopilot
         self._yaw_aligned = False
-        self._touching = True
+        self._in_air = False
+        self._sinking_m_s = 0.0
 
     def update(self) -> None:
         """A hundred times a second."""
@@ -124,9 +126,13 @@ class Happenings:
             self._yaw_aligned = True
             for unit in (0, 1):
                 a.say(INFO, f"EKF3 IMU{unit} MAG0 in-flight yaw alignment complete")
-        touching = bool(state[body.TOUCHING] > 0.0)
-        if touching and not self._touching and float(state[body.IMPACT_SPEED]) > HARD_LANDING_M_S:
-            a.say(INFO, f"SIM Hit ground at {float(state[body.IMPACT_SPEED]):.6f} m/s")
-        if not touching:
+        if self._in_air and float(state[body.IMPACT_SPEED]) > HARD_LANDING_M_S:
+            a.say(INFO, f"SIM Hit ground at {self._sinking_m_s:.6f} m/s")
+            self._in_air = False
+        core = a.core
+        clearance = float(core.environment[body.GROUND_DOWN] - state[body.POSITION + 2])
+        if clearance - core.vehicle.foot_height_m > IN_AIR_ABOVE_M:
+            self._in_air = True
             state[body.IMPACT_SPEED] = 0.0
-        self._touching = touching
+        if self._in_air:
+            self._sinking_m_s = float(state[body.VELOCITY + 2])
