@@ -301,7 +301,7 @@ class ControlLoop:
         if np.any(jump):
             watching.supervisor.move_home(jump)
         if watching.real_time:
-            late_s = self._vehicle.link.timesync.autopilot_time_s(time.monotonic()) - state.time_s
+            late_s = self._vehicle.link.timesync.lateness_s(state.time_s, time.monotonic())
             gap_s = max(gap_s, late_s) if math.isfinite(late_s) else gap_s
         sight = Sight(
             reference=reference,

@@ -11,6 +11,7 @@ from collections import deque
 from dataclasses import dataclass
 
 WINDOW = 32  # samples; at 10 Hz a little over 3 s
+RECENT = 4  # samples; at 10 Hz less than half a second
 RATE_TOLERANCE = 0.02  # a clock that runs this much off ours is a simulation's, not a crystal's
 
 
@@ -68,6 +69,18 @@ class TimeSync:
         first, last = self._samples[0], self._samples[-1]
         elapsed = last.wall_s - first.wall_s
         return elapsed > 0.2 and abs(last.offset_s - first.offset_s) < RATE_TOLERANCE * elapsed
+
+    def lateness_s(self, time_s: float, our_time_s: float) -> float:
+        """How much later than the link's own delay allows for a state stamped `time_s` is at `our_time_s`; nan if unknown.
+
+        An old state can only be old because the way here takes long, and then so did the last round trips. A
+        simulation that falls behind real time also lets its clock fall behind, with round trips as short as ever:
+        its states are young. So the age by the clocks counts up to the longest of the last round trips only.
+        """
+        if not self._samples:
+            return float("nan")
+        longest = max(sample.round_trip_s for sample in list(self._samples)[-RECENT:])
+        return min(self.autopilot_time_s(our_time_s) - time_s, longest)
 
     def autopilot_time_s(self, our_time_s: float) -> float:
         """The autopilot's clock at a moment of ours (seconds)."""

@@ -124,3 +124,17 @@ def test_a_lockstep_clock_that_stands_between_answers_is_not_steady():
     for index in range(40):
         exchange(sync, 5.0 + 0.005 * index, 20e-6, 20e-6, lambda now_s, i=index: 10.0 + 0.1 * i)
     assert not sync.steady
+
+
+def test_lateness_is_believed_up_to_the_longest_recent_round_trip():
+    """Offset 100 s; a state stamped 99.5 s at our 0 s is 0.5 s old by the clocks."""
+    sync = TimeSync()
+    assert math.isnan(sync.lateness_s(0.0, 0.0))
+    for k in range(8):
+        sent = k * 100_000_000
+        sync.add(sent, sent + 100_000_000_000 + 1_000_000, sent + 2_000_000)  # 2 ms round trip
+    assert sync.lateness_s(99.5, 0.0) == pytest.approx(0.002)  # a simulation that fell behind
+    sent = 800_000_000
+    sync.add(sent, sent + 100_000_000_000 + 300_000_000, sent + 600_000_000)  # the link is slow now
+    assert sync.lateness_s(99.5, 0.0) == pytest.approx(0.5, abs=0.01)
+    assert sync.lateness_s(99.99, 0.0) == pytest.approx(0.01, abs=0.005)
