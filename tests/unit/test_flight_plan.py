@@ -1,0 +1,129 @@
+"""The flight laid out in time: its parts meet, in the right order, from the ground back to above it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from companion.control.structs import Reference
+from companion.flight.phases import Phase
+from companion.flight.plan import lay_out, stopping_plan, tracking_time
+from companion.reference.registry import trajectory_from_text
+from companion.reference.trajectory import Frame, place
+from companion.reference.transit import TransitLimits
+
+LIMITS = TransitLimits(speed_m_s=0.8, acceleration_m_s2=0.8, jerk_m_s3=2.0, height_min_m=0.25)
+ORDER = [
+    *(Phase.CLIMB, Phase.GO_TO_START, Phase.HOLD, Phase.RUN_IN),
+    *(Phase.TRACK, Phase.RUN_OUT, Phase.RETURN),
+]
+
+
+def at_rest(x, y, z, yaw):
+    zero = np.zeros(3)
+    return Reference(np.array([x, y, z], dtype=float), zero, zero, zero, zero, yaw, 0.0, 0.0)
+
+
+def plan_of(text, ground, track_s=10.0, frame=Frame.TAKEOFF):
+    trajectory = place(trajectory_from_text(text), frame, ground.position_enu, ground.yaw_rad)
+    return lay_out(ground, trajectory, track_s, 2.0, float(ground.position_enu[2]) + 1.0, LIMITS)
+
+
+PLANS = [
+    ("lemniscate", at_rest(0, 0, 0, 0.0)),
+    ("lemniscate", at_rest(3, -2, 0, 2.5)),
+    ("circle", at_rest(-1, 4, 0, -1.2)),
+    ("hover", at_rest(0, 0, 0, math.pi)),
+]
+
+
+@pytest.mark.parametrize(("text", "ground"), PLANS)
+def test_the_parts_come_in_order_and_without_gaps(text, ground):
+    plan = plan_of(text, ground)
+    assert [leg.phase for leg in plan.legs] == ORDER
+    ends = [leg.start_s + leg.duration_s for leg in plan.legs]
+    assert [leg.start_s for leg in plan.legs] == pytest.approx([0.0, *ends[:-1]])
+    assert plan.duration_s == pytest.approx(ends[-1])
+    assert plan.leg(Phase.TRACK).duration_s == 10.0
+    assert plan.leg(Phase.HOLD).duration_s == 2.0
+
+
+@pytest.mark.parametrize(("text", "ground"), PLANS)
+def test_the_parts_meet(text, ground):
+    """In position, velocity, acceleration and heading, on both sides of each joint."""
+    plan = plan_of(text, ground)
+    for leg in plan.legs[1:]:
+        before, after = plan.sample(leg.start_s - 1e-7), plan.sample(leg.start_s + 1e-7)
+        for name in ("position_enu", "velocity_enu", "acceleration_enu"):
+            np.testing.assert_allclose(
+                getattr(before, name), getattr(after, name), atol=2e-5, err_msg=f"{leg.phase} {name}"
+            )
+        assert math.cos(before.yaw_rad - after.yaw_rad) == pytest.approx(1.0, abs=1e-9)
+        assert before.yaw_rate_rad_s == pytest.approx(after.yaw_rate_rad_s, abs=1e-4)
+
+
+@pytest.mark.parametrize(("text", "ground"), PLANS)
+def test_velocity_is_the_derivative_of_position_and_nothing_jumps(text, ground):
+    plan = plan_of(text, ground)
+    step_s = 0.01
+    samples = [plan.sample(step_s * k) for k in range(int(plan.duration_s / step_s))]
+    positions = np.array([sample.position_enu for sample in samples])
+    velocities = np.array([sample.velocity_enu for sample in samples])
+    # Trapezoidal rule: exact up to h³/12 times the snap between joints, h²/4 times a jump of jerk at them.
+    moved = 0.5 * step_s * (velocities[1:] + velocities[:-1])
+    np.testing.assert_allclose(np.diff(positions, axis=0), moved, atol=5e-5)
+
+
+@pytest.mark.parametrize(("text", "ground"), PLANS)
+def test_begins_where_the_vehicle_stands_and_ends_above_it_at_rest(text, ground):
+    plan = plan_of(text, ground)
+    first, last = plan.sample(0.0), plan.sample(plan.duration_s + 100.0)
+    np.testing.assert_allclose(first.position_enu, ground.position_enu, atol=1e-9)
+    np.testing.assert_allclose(last.position_enu[:2], ground.position_enu[:2], atol=1e-6)
+    np.testing.assert_allclose(last.velocity_enu, np.zeros(3), atol=1e-6)
+    assert last.position_enu[2] > ground.position_enu[2] + 0.9
+    assert math.cos(last.yaw_rad - ground.yaw_rad) == pytest.approx(1.0)
+
+
+def test_everything_but_the_tracking_keeps_the_limits():
+    plan = plan_of("lemniscate", at_rest(3, -2, 0, 2.5))
+    for leg in plan.legs:
+        if leg.phase in (Phase.TRACK, Phase.RUN_IN, Phase.RUN_OUT):
+            continue  # these meet the trajectory's own velocity
+        for moment in np.linspace(leg.start_s, leg.start_s + leg.duration_s - 1e-6, 200):
+            sample = plan.sample(float(moment))
+            assert np.linalg.norm(sample.velocity_enu) <= 0.8 + 1e-6
+            assert np.linalg.norm(sample.acceleration_enu) <= 0.8 + 1e-6
+
+
+def test_a_trajectory_laid_out_from_the_take_off_turns_with_the_vehicle():
+    """Standing at (3, −2) with the nose 90° to the left, the trajectory's x is +y of the world."""
+    ground = at_rest(3, -2, 0, math.pi / 2)
+    own, turned = trajectory_from_text("lemniscate"), plan_of("lemniscate", ground).leg(Phase.TRACK)
+    x, y, z = own.sample(1.0).position_enu
+    np.testing.assert_allclose(turned.trajectory.sample(1.0).position_enu, [3.0 - y, -2.0 + x, z], atol=1e-12)
+    local = plan_of("lemniscate", ground, frame=Frame.LOCAL).leg(Phase.TRACK)
+    np.testing.assert_allclose(local.trajectory.sample(1.0).position_enu, [x, y, z], atol=1e-12)
+
+
+def test_tracking_time_counts_from_the_beginning_of_tracking():
+    plan = plan_of("lemniscate", at_rest(0, 0, 0, 0.0))
+    track = plan.leg(Phase.TRACK)
+    assert tracking_time(plan, track.start_s + 1.5) == pytest.approx(1.5)
+    assert math.isnan(tracking_time(plan, track.start_s - 0.1))
+    assert math.isnan(tracking_time(plan, track.start_s + track.duration_s + 0.1))
+    assert plan.leg_at(-5.0).phase is Phase.CLIMB
+    assert plan.leg_at(1e6).phase is Phase.RETURN
+
+
+def test_stopping_from_full_flight():
+    now = plan_of("lemniscate", at_rest(0, 0, 0, 0.0)).leg(Phase.TRACK).trajectory.sample(2.3)
+    plan = stopping_plan(now, LIMITS, 10.0)
+    np.testing.assert_allclose(plan.sample(0.0).position_enu, now.position_enu, atol=1e-9)
+    np.testing.assert_allclose(plan.sample(0.0).velocity_enu, now.velocity_enu, atol=1e-9)
+    assert plan.legs[-1].phase is Phase.HOLD
+    rest = plan.sample(plan.duration_s)
+    np.testing.assert_allclose(rest.velocity_enu, np.zeros(3), atol=1e-9)
+    np.testing.assert_allclose(rest.position_enu, plan.legs[0].trajectory.sample(1e3).position_enu, atol=1e-6)
