@@ -208,7 +208,7 @@ def _jacobian(residual: Callable[[Vector], Vector], point: Vector, error: Vector
 
 
 def profile_lines(found: list[AxisResponse], autopilot: str) -> str:
-    """The result as TOML for a vehicle profile: roll and pitch averaged as `tilt`."""
+    """The result as TOML for a vehicle profile: roll and pitch averaged as `tilt`, the better known one counting more."""
     tilt = [r for r in found if r.axis != "yaw"]
     lines = [f"[responses.{autopilot}]"]
     vague = [r for r in found if r.spread[1] > VAGUE * r.natural_frequency_rad_s]
@@ -218,11 +218,13 @@ def profile_lines(found: list[AxisResponse], autopilot: str) -> str:
             f"({', '.join(f'{r.lag_s * 1e3:.0f} ms' for r in vague)}) holds. Fly --trajectory step for better ones."
         )
     if tilt and not math.isnan(tilt[0].damping):
-        lines.append(f"dead_time_s = {np.mean([r.dead_time_s for r in tilt]):.3f}")
-        lines.append(
-            f"tilt = {{ natural_frequency_rad_s = {np.mean([r.natural_frequency_rad_s for r in tilt]):.1f}, "
-            f"damping = {np.mean([r.damping for r in tilt]):.2f} }}"
+        # each axis counts by how well its own frequency is known
+        weights = [1.0 / max(r.spread[1] / r.natural_frequency_rad_s, 1e-3) ** 2 for r in tilt]
+        dead, omega, zeta = np.average(
+            [(r.dead_time_s, r.natural_frequency_rad_s, r.damping) for r in tilt], axis=0, weights=weights
         )
+        lines.append(f"dead_time_s = {dead:.3f}")
+        lines.append(f"tilt = {{ natural_frequency_rad_s = {omega:.1f}, damping = {zeta:.2f} }}")
     elif tilt:
         lines.append(f"rate_dead_time_s = {np.mean([r.dead_time_s for r in tilt]):.3f}")
         lags = {r.axis: 1.0 / r.natural_frequency_rad_s for r in found}

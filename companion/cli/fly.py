@@ -168,6 +168,7 @@ def fly_once(
     from companion.cli.sitl import FIRMWARES, STUB_PATIENCE, running_stub
     from companion.config.settings import load_settings
     from companion.flight.session import SessionOptions, fly
+    from companion.reference.registry import trajectory_from_text
 
     settings = load_settings(
         arguments.profile,
@@ -181,6 +182,7 @@ def fly_once(
         },
         ([STUB_PATIENCE] if arguments.sitl else []) + arguments.overrides,
     )
+    trajectory_from_text(arguments.trajectory)  # a wrong one is told before anything is started
     if arguments.sitl and arguments.sitl not in FIRMWARES:
         raise UserError(f"--sitl {arguments.sitl}: the bundled stub has {', '.join(FIRMWARES)}")
     reporter = ConsoleReporter()

@@ -17,8 +17,8 @@ from companion.config.profile import LevelName, VehicleProfile
 from companion.config.safety import SafetyLimits
 from companion.control.structs import ControlLevel
 
-DEFAULT_RATE_HZ: dict[LevelName, float] = {"attitude": 100.0, "body_rate": 200.0, "actuator": 250.0}
-"""Control rates whose periods are whole milliseconds, as ArduPilot wants them."""
+DEFAULT_RATE_HZ: dict[LevelName, float] = {"attitude": 100.0, "body_rate": 250.0, "actuator": 250.0}
+"""Control rates whose periods are whole milliseconds, as ArduPilot wants them, and multiples of PX4's 4 ms (simulated)."""
 
 
 class FlightSettings(SettingsModel):

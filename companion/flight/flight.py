@@ -202,7 +202,7 @@ class Flight:
     def _take_off(self) -> None:
         vehicle, settings, loop = self._vehicle, self._settings, self._loop
         ground = self._ground()
-        self._plan = self._lay_out(ground, ground)
+        self._plan = self._lay_out(ground)
         self._check_plan(self._plan, float(ground.position_enu[2]))
         require_inside(settings.safety, self._plan, ground.position_enu)
         level = level_with_heading(ground.yaw_rad)
@@ -215,6 +215,10 @@ class Flight:
         self._enter(Phase.ARM)
         self._arm()
         ground = self._ground()
+        plan = self._lay_out(
+            ground
+        )  # milliseconds, so on the ground: at lift-off only its climb is planned anew
+        self._announce(plan)
         self._enter(Phase.LIFT_OFF)
         assert vehicle.state is not None
         loop.idle(level_with_heading(ground.yaw_rad))
@@ -223,25 +227,28 @@ class Flight:
         self._airborne = True
         state = vehicle.state
         start = at_rest(state.position_enu, ground.yaw_rad)
-        self._plan = self._lay_out(ground, start)
+        self._plan = plan.climbing_from(start, self._transit_limits(float(ground.position_enu[2])))
+        loop.follow(self._plan, state)
         self._reporter.say(
             f"off the ground at thrust {loop.lift_off_thrust:.2f}; flying {self._plan.duration_s:.0f} s"
         )
-        track = self._plan.leg(Phase.TRACK)
+
+    def _announce(self, plan: FlightPlan) -> None:
+        """Log the trajectory's path, and how it lies: errors are judged along its own axes."""
+        track = plan.leg(Phase.TRACK)
         moments = np.linspace(0.0, track.duration_s, 200)
         self._recorder.log.path_enu(
             "trajectory",
-            vehicle.link.autopilot_time_s,
+            self._vehicle.link.autopilot_time_s,
             np.array([track.trajectory.sample(float(t)).position_enu for t in moments]),
         )
         where = track.trajectory if isinstance(track.trajectory, Placed) else None
-        self._recorder.log.event(  # errors are judged along the trajectory's own axes
+        self._recorder.log.event(
             "layout",
-            vehicle.link.autopilot_time_s,
+            self._vehicle.link.autopilot_time_s,
             heading_rad=where.heading_rad if where is not None else 0.0,
             origin_enu=where.origin_enu.tolist() if where is not None else [0.0, 0.0, 0.0],
         )
-        loop.follow(self._plan, state)
 
     def _watch_over(self, ground: Reference) -> Watching:
         """Supervisor and watchdog, from lift-off on."""
@@ -289,12 +296,12 @@ class Flight:
             height_m > settings.procedure.lift_off_height_m and rising
         ) or height_m > 3.0 * settings.procedure.lift_off_height_m
 
-    def _lay_out(self, ground: Reference, start: Reference) -> FlightPlan:
+    def _lay_out(self, ground: Reference) -> FlightPlan:
         settings, request = self._settings, self._request
         trajectory = place(request.trajectory, request.frame, ground.position_enu, ground.yaw_rad)
         limits = self._transit_limits(float(ground.position_enu[2]))
         return lay_out(
-            start,
+            ground,
             trajectory,
             request.duration_s,
             settings.procedure.hold_s,
@@ -434,7 +441,10 @@ class Flight:
         if not self._engaged:
             return
         if not vehicle.adapter.is_mode(vehicle.status.custom_mode, Intent.EXTERNAL):
-            raise PilotTookOver(f"mode is now {vehicle.adapter.mode_name(vehicle.status.custom_mode)}")
+            raise PilotTookOver(
+                f"mode is now {vehicle.adapter.mode_name(vehicle.status.custom_mode)}, which we did not ask for: "
+                "the pilot's wish, or the autopilot's own failsafe"
+            )
         if self._armed_by_now and not vehicle.status.armed:
             raise PilotTookOver("disarmed in flight" if self._airborne else "disarmed")
         if moved := self._pilot.moved_sticks():

@@ -48,6 +48,12 @@ class FlightPlan:
         leg = self.leg_at(time_s)
         return leg.trajectory.sample(min(time_s - leg.start_s, leg.duration_s))
 
+    def climbing_from(self, start: Reference, limits: TransitLimits) -> FlightPlan:
+        """The same plan with its climb beginning at `start`, where the vehicle really left the ground."""
+        legs = [(leg.phase, leg.trajectory, leg.duration_s) for leg in self.legs]
+        up = transit(start, self.legs[0].trajectory.sample(self.legs[0].duration_s), limits)
+        return FlightPlan([(Phase.CLIMB, up, up.duration_s), *legs[1:]])
+
     def leg(self, phase: Phase) -> Leg:
         """The leg of a phase (each comes once)."""
         return next(leg for leg in self.legs if leg.phase is phase)
