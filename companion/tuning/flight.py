@@ -10,13 +10,13 @@ import dataclasses
 from dataclasses import dataclass, field
 from typing import Any
 
+import numba
 import numpy as np
 
 from companion.autopilot.thrust import mixer_of
 from companion.config.errors import UserError
 from companion.config.gains import ControllerGains
 from companion.config.profile import LevelName, VehicleProfile
-from companion.control.compiled import compiled
 from companion.control.packing import INPUT, TERMS, memory_dtype
 from companion.control.prediction import RING, ROW, pack_model
 from companion.control.registry import build_law
@@ -31,7 +31,9 @@ from sitl_stub.physics.noise import random_state
 from sitl_stub.physics.vehicle import VehicleError, load_vehicle
 from sitl_stub.simulation import Simulation
 
-_fly_law: Any = compiled(loop.fly_law)
+_fly_law: Any = numba.njit(error_model="numpy", nogil=True)(loop.fly_law)
+"""Not through `compiled`: its argument is a law, itself compiled, for which numba's cache on disk has no lasting name.
+It would never find what it wrote, and fails over entries of other processes. Seconds, once a process and law."""
 _STUB_VEHICLES = {"qball2": "qball2", "px4_sih": "px4_sih", "arducopter_sitl": "arducopter"}
 
 

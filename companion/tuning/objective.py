@@ -62,7 +62,7 @@ def score(outcome: Outcome) -> float:
     beyond = float(np.sum(np.maximum(0.0, ratios[:2] - 0.8) ** 2))
     shake = float(np.max(outcome.shake_rms_rad_s)) / SHAKE_GOAL_RAD_S
     hold = float(np.mean(outcome.hold_rms_m)) / HOLD_GOAL_M
-    return position + 0.15 * attitude + 2.0 * beyond + 0.1 * shake**2 + 0.05 * hold
+    return position + 0.15 * attitude + min(2.0 * beyond, 0.5) + 0.1 * shake**2 + 0.05 * hold
 
 
 @dataclass(frozen=True, slots=True)
