@@ -76,7 +76,8 @@ class OutsidePoses:
             deque()
         )  # (our time, our time − source's), delays ascending
         self._last: OutsidePose | None = None
-        self._last_sent_s = -math.inf
+        self._due_s = -math.inf  # on the source's clock
+        self._last_true_s = -math.inf  # on ours
         self._jumps = 0
         self._resets = 0
         self._source_resets = 0
@@ -136,10 +137,15 @@ class OutsidePoses:
             self._resets += 1
         self._last = pose
         self._back_again(arrived_s)
-        if pose.time_s - self._last_sent_s < 0.99 * self._period_s:
+        # Judged on a raster, so that 120 poses a second become 50 and not 40; and our time must never stand or go back
+        # while it settles, or the autopilot would take a pose for an old one.
+        too_soon = pose.time_s < self._due_s - 0.1 * self._period_s
+        if too_soon or true_s < self._last_true_s + 0.5 * self._period_s:
             self.counters["pose above the rate"] += 1
             return None
-        self._last_sent_s = pose.time_s
+        since_due_s = pose.time_s - self._due_s
+        self._due_s = (self._due_s if since_due_s < self._period_s else pose.time_s) + self._period_s
+        self._last_true_s = true_s
         self.counters["forwarded"] += 1
         return self.odometry(pose, true_s, velocity_enu)
 
@@ -192,7 +198,7 @@ class OutsidePoses:
     def _start_again(self) -> None:
         self._delays.clear()
         self._last = None
-        self._last_sent_s = -math.inf
+        self._due_s = -math.inf
         self._jumps = 0
         self._resets += 1
         self.counters["source restarts"] += 1
