@@ -31,6 +31,10 @@ _ESTIMATOR_RATIOS = ("vel_ratio", "pos_horiz_ratio", "pos_vert_ratio", "mag_rati
 _EKF_VARIANCES = ("velocity_variance", "pos_horiz_variance", "pos_vert_variance", "compass_variance")
 
 
+TRUTH_MESSAGES = frozenset((mav.MAVLINK_MSG_ID_HIL_STATE_QUATERNION, mav.MAVLINK_MSG_ID_SIM_STATE))
+"""Messages that only a simulation can send: its true state."""
+
+
 class Verdict(enum.Enum):
     """How a preflight check ended."""
 

@@ -345,7 +345,7 @@ class Flight:
 
     def _arm(self) -> None:
         vehicle = self._vehicle
-        if not (self._request.may_arm or self._recorder.truth_seen):
+        if not (self._request.may_arm or self._vehicle.simulated):
             self._reporter.say("waiting for the pilot to arm (--arm lets the companion do it)")
             vehicle.until(
                 lambda: vehicle.status.armed, self._settings.procedure.pilot_timeout_s, "the pilot's arming"

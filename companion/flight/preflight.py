@@ -23,7 +23,7 @@ MEASURE_S = 1.0
 _SHARE_WARNED = 0.8  # of a stream's rate asked for
 _ROUND_TRIP_WARNED_S, _ROUND_TRIP_REFUSED_S = 0.05, 0.25
 _LOSS_WARNED, _LOSS_REFUSED = 0.01, 0.2
-_BATTERY_WARNED, _BATTERY_REFUSED = 0.4, 0.2
+_BATTERY_WARNED, _BATTERY_REFUSED = 0.35, 0.15  # the flight itself ends at limits.battery_remaining
 _HOVER_MISMATCH = 0.25
 
 GOOD_TO_HAVE_HZ = {
@@ -252,7 +252,7 @@ class Preflight:
             findings.append(
                 _graded(
                     status.battery_remaining >= _BATTERY_WARNED,
-                    status.battery_remaining >= _BATTERY_REFUSED,
+                    status.battery_remaining >= _BATTERY_REFUSED or self._vehicle.simulated,
                     "battery",
                     f"{status.battery_remaining * 100:.0f} %",
                     "a flight ends with what is left",

@@ -41,7 +41,6 @@ class Recorder:
         self._truth = log.define(TRUTH)
         self._timing = log.define(TIMING)
         self._estimates = log.define(ESTIMATES)
-        self.truth_seen = 0
         self._latest_enu: Vector | None = None
         self._ground_place: tuple[float, float, float] | None = None
         self._ground_samples = 0
@@ -141,7 +140,6 @@ class Recorder:
         """
         if message.get_msgId() != adapter.truth_message_id:
             return
-        self.truth_seen += 1
         if message.get_msgId() == mav.MAVLINK_MSG_ID_HIL_STATE_QUATERNION:
             time_s = message.time_usec * 1e-6 or now_s  # PX4's simulation leaves it 0
             place = (message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3)

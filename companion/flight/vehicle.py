@@ -10,7 +10,7 @@ import math
 import time
 from collections.abc import Callable
 
-from companion.autopilot.adapter import Adapter, VehicleStatus
+from companion.autopilot.adapter import TRUTH_MESSAGES, Adapter, VehicleStatus
 from companion.autopilot.registry import adapter_for
 from companion.config.errors import UserError
 from companion.control.structs import VehicleState
@@ -45,6 +45,7 @@ class Vehicle:
         self.commands = CommandClient(link)
         self.parameters = ParameterClient(link)
         self.version = (0, 0, 0)
+        self.simulated = False  # only a simulation publishes its true state
         self.silence_limit_s = silence_limit_s
         self.on_state: Callable[[VehicleState], None] = lambda _: None
         self.on_message: Callable[[Message], None] = lambda _: None
@@ -105,6 +106,7 @@ class Vehicle:
             self.link.keep_alive()
             self.link.answer_timesync(message)
             return
+        self.simulated |= message.get_msgId() in TRUTH_MESSAGES
         self.status.take(message)
         self.commands.take(message)
         self.parameters.take(message)
