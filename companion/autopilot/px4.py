@@ -92,6 +92,7 @@ class Px4(Adapter):
             "COM_RC_OVERRIDE",
             "COM_RCL_EXCEPT",
             "COM_SPOOLUP_TIME",
+            "COM_DISARM_PRFLT",
         )
 
     def check(
@@ -156,6 +157,17 @@ class Px4(Adapter):
                     if lands
                     else "when the companion dies the vehicle is not brought down by the autopilot",
                     "" if lands else "param set COM_OBL_RC_ACT 4 (land)",
+                )
+            )
+        idle = parameters.get("COM_DISARM_PRFLT")
+        if idle is not None and idle <= 0.0:
+            findings.append(
+                Finding(
+                    Verdict.WARNING,
+                    "COM_DISARM_PRFLT",
+                    f"{idle:.0f} s",
+                    "if the companion dies before lift-off, the vehicle stays armed on the ground",
+                    "param set COM_DISARM_PRFLT 10",
                 )
             )
         override = parameters.get("COM_RC_OVERRIDE")
