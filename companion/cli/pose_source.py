@@ -69,6 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
     flaws = Imperfection(
         arguments.noise_mm * 1e-3,
         math.radians(arguments.noise_deg),
+        10.0 * arguments.noise_mm * 1e-3,  # as differences over 0.1 s would have
         arguments.latency_ms * 1e-3,
         arguments.drop,
     )

@@ -152,12 +152,14 @@ class OutsidePoses:
     def odometry(self, pose: OutsidePose, our_time_s: float, velocity_enu: Vector) -> Message:
         """ODOMETRY (331) of a pose that was true at `our_time_s` of our clock.
 
-        ArduPilot reads the velocity without asking whether it is a number, so it gets the difference of poses; PX4
-        gets none (NaN), as it would count the same poses twice.
+        Without a velocity from the source, PX4 gets none (NaN), as a difference of poses would count them twice;
+        ArduPilot reads it without asking whether it is a number, so it gets the difference.
         """
         position = ned_from_enu(pose.position_enu)
         quaternion = quaternion_ned_frd_from_enu_flu(pose.quaternion_wxyz)
-        if self.local_ned:
+        if pose.velocity_enu is not None:
+            velocity_enu = pose.velocity_enu
+        if self.local_ned and pose.velocity_enu is None:
             velocity_frd = np.full(3, math.nan)
         else:
             velocity_frd = frd_from_flu(_to_body(pose.quaternion_wxyz, velocity_enu))

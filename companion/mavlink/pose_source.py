@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.mavlink.frames import enu_from_global, quaternion_enu_flu_from_ned_frd
+from companion.mavlink.frames import enu_from_global, enu_from_ned, quaternion_enu_flu_from_ned_frd
 from companion.mavlink.framing import Framer
 from companion.mavlink.link import mav
 from companion.mavlink.pose_datagram import OutsidePose, pack_pose
@@ -32,6 +32,7 @@ class Imperfection:
 
     position_sd_m: float = 0.0
     attitude_sd_rad: float = 0.0
+    velocity_sd_m_s: float = 0.0
     latency_s: float = 0.0  # from the moment of the pose until its datagram leaves
     drop_ratio: float = 0.0  # of datagrams that never leave
 
@@ -58,7 +59,11 @@ class PoseSender:
             return
         position = pose.position_enu + flaw.position_sd_m * self._random.standard_normal(3)
         turn = 0.5 * flaw.attitude_sd_rad * self._random.standard_normal(3)
-        spoilt = OutsidePose(pose.time_s, position, _turned(pose.quaternion_wxyz, turn))
+        velocity = pose.velocity_enu
+        if velocity is not None:
+            velocity = velocity + flaw.velocity_sd_m_s * self._random.standard_normal(3)
+        attitude = _turned(pose.quaternion_wxyz, turn)
+        spoilt = OutsidePose(pose.time_s, position, attitude, velocity_enu=velocity)
         self._waiting.append((now_s + flaw.latency_s, pack_pose(spoilt, self._binary)))
 
     def flush(self, now_s: float) -> None:
@@ -114,6 +119,7 @@ def true_poses(transport: Transport, rate_hz: float, poll_s: float = 0.005) -> I
                 time.monotonic(),
                 enu_from_global(*place, origin),
                 quaternion_enu_flu_from_ned_frd(quaternion),
+                velocity_enu=enu_from_ned((0.01 * message.vx, 0.01 * message.vy, 0.01 * message.vz)),
             )
         yield None
 

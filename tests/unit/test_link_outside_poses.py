@@ -78,6 +78,16 @@ def test_ardupilot_gets_its_frame_and_a_velocity(poses: OutsidePoses, clock: Clo
     assert (second.vx, second.vy, second.vz) == pytest.approx((2.0, -1.0, -0.5))
 
 
+def test_a_velocity_of_the_source_goes_to_both_in_the_bodys_axes(poses: OutsidePoses, clock: Clock) -> None:
+    north = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))  # nose to the north
+    for k, local_ned in enumerate((True, False)):
+        poses.local_ned = local_ned
+        clock.s += 0.1
+        sent = poses.take(datagram(0.1 * k, quaternion=north, velocity_enu=[1.0, 2.0, 0.5]))
+        # 2 m/s to the north is ahead, 1 m/s to the east is right
+        assert (sent.vx, sent.vy, sent.vz) == pytest.approx((2.0, 1.0, -0.5))
+
+
 def test_covariance_is_turned_with_the_frames(poses: OutsidePoses) -> None:
     matrix = np.zeros((6, 6))
     matrix[0, 0], matrix[1, 1], matrix[2, 2] = 1.0, 4.0, 9.0  # east, north, up
@@ -212,6 +222,9 @@ def test_over_a_socket_both_forms(poses: OutsidePoses, clock: Clock) -> None:
         (datagram(1.0, position=(2e4, 0.0, 0.0)), "too far away"),
         (datagram(1.0, quaternion=(0.0, 0.0, 0.0, 0.0)), "not of unit length"),
         (datagram(1.0, quaternion=(0.9, 0.0, 0.0, 0.0)), "not of unit length"),
+        (datagram(1.0, velocity_enu=[1.0, 2.0]), "wrong length"),
+        (datagram(1.0, velocity_enu=[1.0, 2.0, 300.0]), "too fast"),
+        (b"POS2" + bytes(64), "wrong length"),
         (datagram(1.0, covariance=[1.0] * 20), "21 finite numbers"),
         (datagram(1.0, covariance=[-1.0] + [0.0] * 20), "negative variance"),
     ],
@@ -223,7 +236,7 @@ def test_what_is_no_pose(data: bytes, why: str) -> None:
 
 @given(st.binary(max_size=200))
 def test_no_datagram_breaks_the_listener(data: bytes) -> None:
-    for content in (data, b"POS1" + data):
+    for content in (data, b"POS1" + data, b"POS2" + data):
         with suppress(BadPose):
             parse_pose(content)
 
@@ -236,8 +249,11 @@ def test_no_datagram_breaks_the_listener(data: bytes) -> None:
 )
 def test_packing_and_parsing_agree(time_s: float, position, quaternion, binary: bool) -> None:
     unit = np.array(quaternion) / np.linalg.norm(quaternion)
-    pose = OutsidePose(time_s, np.array(position), unit, np.arange(1.0, 22.0))
+    speed = 0.5 * np.array(position) if position[0] > 0 else None
+    pose = OutsidePose(time_s, np.array(position), unit, np.arange(1.0, 22.0), velocity_enu=speed)
     again = parse_pose(pack_pose(pose, binary))
+    assert (again.velocity_enu is None) == (speed is None)
+    assert speed is None or np.array_equal(again.velocity_enu, speed)
     assert again.time_s == time_s
     assert np.array_equal(again.position_enu, pose.position_enu)
     assert again.quaternion_wxyz == pytest.approx(unit, abs=1e-12)
