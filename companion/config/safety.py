@@ -240,6 +240,8 @@ class SafetyLimits(SettingsModel):
     """How long a quantity has to be well within a rung before that rung is let go of, s."""
     recovery_share: float = Field(default=0.9, gt=0.0, le=1.0)
     """Well within: beyond this share of the threshold (for quantities that are bad below it, of its inverse)."""
+    unproven: Literal["warn", "refuse"] = "warn"
+    """What follows where the gains break a condition of Proposition 1 or 2: the flight is flown with a warning, or not."""
     allow_disarm: bool = False
     """Whether `disarm` rungs may be used: they stop the motors in the air."""
     lift_off_tilt_deg: float = Field(default=20.0, ge=5.0, le=60.0)

@@ -192,6 +192,8 @@ def _control_loop(
     for warning in law.warnings:
         reporter.say(f"warning: {warning}")
         recorder.log.event("warning", vehicle.link.autopilot_time_s, text=warning)
+    if law.warnings and settings.flight.safety.unproven == "refuse":
+        raise Refused(f"{law.warnings[0]}; change the gains, or fly with flight.safety.unproven=warn")
     hover = vehicle.parameters.values.get(adapter.hover_thrust_parameter, profile.hover_thrust)
     arms = profile.rotors.arms_m
     thrust = ThrustScale(
