@@ -41,6 +41,13 @@ def test_the_same_seed_gives_the_same_log_with_both_libraries(tmp_path: Path, le
 
 
 @pytest.mark.usefixtures("installed")
+def test_the_other_firmware_flies_too(tmp_path: Path) -> None:
+    with stub_behind("--firmware", "ardupilot") as port:
+        flown = companion(f"udpin:127.0.0.1:{port}", tmp_path, library=LinkLibrary.MAVSDK, fix=True)
+    assert flown.outcome == "completed", flown.text
+
+
+@pytest.mark.usefixtures("installed")
 def test_actuator_controls_are_refused_for_the_same_reason(tmp_path: Path) -> None:
     with stub_behind() as port:
         flown = companion(f"udpin:127.0.0.1:{port}", tmp_path, library=LinkLibrary.MAVSDK, level="actuator")
