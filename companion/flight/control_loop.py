@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from companion.autopilot.adapter import TYPE_MASK_ATTITUDE, attitude_target
 from companion.autopilot.hover_thrust import HoverThrustEstimator
 from companion.autopilot.thrust import ThrustScale
 from companion.config.safety import Reaction
@@ -27,6 +26,7 @@ from companion.control.packing import Memory, Terms
 from companion.control.prediction import Predictor
 from companion.control.structs import AdaptationGate, ControlLevel, Reference, Setpoint, Vector, VehicleState
 from companion.flight.fallback import without_networks
+from companion.flight.level_flight import level_setpoint
 from companion.flight.outcome import Aborted, ending
 from companion.flight.plan import FlightPlan, stopping_plan, tracking_time
 from companion.flight.realtime import LoopWatchdog
@@ -356,11 +356,18 @@ class ControlLoop:
 
     # Out ------------------------------------------------------------------------------------------------
 
-    def _send(self, time_s: float, setpoint: Setpoint, rotor_thrust: Vector) -> bool:
-        """Send what the law asks for, through the gate; False when it was refused there."""
+    def _send(
+        self, time_s: float, setpoint: Setpoint, rotor_thrust: Vector, thrust: float | None = None
+    ) -> bool:
+        """Send a setpoint through the gate; False when it was refused there.
+
+        `rotor_thrust` (N,) in newtons is what goes out at the actuator level; `thrust` overrides the normalised
+        collective, for idling below the least thrust of flight.
+        """
         adapter, link = self._vehicle.adapter, self._vehicle.link
         actuators = setpoint.level is ControlLevel.ACTUATOR
-        thrust = self._thrust.normalised(setpoint.thrust_newton)
+        if thrust is None:
+            thrust = self._thrust.normalised(setpoint.thrust_newton)
         controls = self._thrust.controls(rotor_thrust) if actuators else None
         if not self._fit(time_s, setpoint, thrust, controls):
             return False
@@ -373,24 +380,11 @@ class ControlLoop:
         return True
 
     def _send_level(self, state: VehicleState, thrust: float) -> None:
-        setpoint = Setpoint(
-            ControlLevel.ATTITUDE,
-            self._thrust.newton(thrust),
-            self._level_quaternion,
-            np.zeros(3),
-            np.zeros(3),
-        )
-        if not self._fit(state.time_s, setpoint, thrust, None):
-            return
-        message = attitude_target(
-            self._vehicle.link.target_system or 1,
-            state.time_s,
-            TYPE_MASK_ATTITUDE,
-            self._level_quaternion,
-            setpoint.body_rate_flu,
-            thrust,
-        )
-        self._post(state.time_s, message, setpoint, thrust)
+        p = self._law.parameters
+        newton = self._thrust.newton(thrust)
+        setpoint = level_setpoint(self._law.level, state, self._level_quaternion, newton, p.inertia)
+        wrench = np.array([newton, *setpoint.torque_flu])
+        self._send(state.time_s, setpoint, p.mixer[: p.rotor_count] @ wrench, thrust)
 
     def _fit(self, time_s: float, setpoint: Setpoint, thrust: float, controls: Vector | None) -> bool:
         refusal = self._gate.refusal(setpoint, thrust, controls)
