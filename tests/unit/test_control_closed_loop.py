@@ -137,7 +137,16 @@ def test_lyapunov_function_falls_in_the_ideal_case():
     is small enough for the cross term β e_pᵀŨ_p to be covered by K_p and K_U.
     """
     level = ControlLevel.ATTITUDE
-    gains = gains_of("dtlannc", level, alpha=1.0, kappa=0.02, weight_bound=6.0, N=2.0, boundary_width=0.02)
+    gains = gains_of(
+        "dtlannc",
+        level,
+        K_e=(1.6, 1.6, 1.2),
+        alpha=1.0,
+        kappa=0.02,
+        weight_bound=6.0,
+        N=2.0,
+        boundary_width=0.02,
+    )
     true_mass = 1.79
     profile = QBALL2.model_copy(update={"mass_ratio": 1.0, "drag_kg_s": (0.0, 0.0, 0.0)})
     law = law_of("dtlannc", level, profile=profile, gains=gains)
