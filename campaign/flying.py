@@ -1,0 +1,219 @@
+"""One flight: both programs started, watched, waited for; what is left of it is handed over for judging."""
+
+from __future__ import annotations
+
+import json
+import math
+import shlex
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from campaign.draw import PlannedFlight
+from campaign.faults import scenario
+from campaign.instruments import watch_companion, watch_stub
+from campaign.processes import Child, fork
+from campaign.tape import ARMED, BODY_RATE, BOX_WIDTH, POSITION, TICK_WIDTH, TIME, VELOCITY, FloatArray, Tape
+
+WALL_LIMIT_S = 240.0
+"""Our time that a flight may take; on an idle machine it takes 4 s."""
+FREE_SPEED = 20.0
+"""How much faster than real time the stub goes on when its companion is gone."""
+AFTERWARDS_S = 90.0
+"""Simulated time that an autopilot has to bring down what was left in the air."""
+HANDED_BACK_S = 6.0
+"""Simulated time that a vehicle handed back is looked at."""
+_STARTING_S = 60.0
+
+
+@dataclass(frozen=True)
+class Flown:
+    """What a flight left."""
+
+    planned: PlannedFlight
+    log: Path
+    code: int | None
+    """The companion's exit code, negative for a signal; None when it had to be ended."""
+    words: tuple[str, ...]
+    """Its lines on standard error."""
+    output: str
+    stub_code: int
+    stub_words: str
+    wall_s: float
+    cpu_s: float
+    box: FloatArray = field(repr=False)
+    """(n, BOX_WIDTH), see `campaign.tape`; empty for a flight flown as a command."""
+    ticks: FloatArray = field(repr=False)
+    companion_ended_s: float = math.nan
+    """Simulated time when the companion was gone."""
+    armed_at_s: float = math.nan
+
+
+def arguments(planned: PlannedFlight, log: Path) -> list[str]:
+    """Of `companion fly`, without the endpoint."""
+    words = ["fly", "--profile", planned.profile, "--controller", planned.controller]
+    words += ["--level", planned.level, "--trajectory", planned.trajectory]
+    words += ["--duration", f"{planned.duration_s:g}", "--seed", str(planned.seed % 1000)]
+    words += ["--log", str(log), "--overwrite", "--json", "--fix"]
+    for text in planned.overrides():
+        words += ["--set", text]
+    return words
+
+
+def stub_options(planned: PlannedFlight, folder: Path) -> list[str]:
+    """Of `sitl-stub` that make this flight; writes the files that they name into `folder`."""
+    vehicle = folder / "vehicle.toml"
+    vehicle.write_text(planned.vehicle_file())
+    words = ["--vehicle", str(vehicle), "--estimator", planned.estimator, "--lockstep"]
+    words += ["--wind", f"{planned.wind_m_s:g},{planned.gust_m_s:g}", "--speed", f"{FREE_SPEED:g}"]
+    words += ["--ready-after", "1"] if planned.firmware == "ardupilot" else []
+    if planned.faults:
+        file = folder / "scenario.toml"
+        file.write_text(scenario(planned.seed, planned.faults))
+        words += ["--scenario", str(file)]
+    return words
+
+
+def fly(planned: PlannedFlight, folder: Path, plant: Callable[[], None] | None = None) -> Flown:
+    """Fly in `folder` (made, and kept). `plant` is called in the companion's process first: a defect on purpose."""
+    folder.mkdir(parents=True, exist_ok=True)
+    if planned.as_command and plant is None:
+        return _fly_as_command(planned, folder)
+    began_s = time.monotonic()
+    tape = Tape()
+    stub = _start_stub(planned, folder, tape)
+    log = folder / "flight.mcap"
+    try:
+        endpoint = _endpoint(stub, folder)
+
+        def companion_main() -> int:
+            from companion.cli.main import main
+
+            watch_companion(tape, planned.kill_at_s, planned.interrupts_at_s)
+            if plant is not None:
+                plant()
+            return main([*arguments(planned, log), "--endpoint", endpoint])
+
+        companion = fork(companion_main, folder / "companion.out", folder / "companion.err", folder)
+        try:
+            code = companion.wait(WALL_LIMIT_S)
+            ended_s = _last_time(tape)
+        finally:
+            companion.end(0.0)
+        _look_on(stub, tape, ended_s)
+    finally:
+        stub.end()
+    return Flown(
+        planned=planned,
+        log=log,
+        code=code,
+        words=_lines(folder / "companion.err"),
+        output=(folder / "companion.out").read_text(errors="replace"),
+        stub_code=stub.code if stub.code is not None else -1,
+        stub_words=(folder / "stub.err").read_text(errors="replace"),
+        wall_s=time.monotonic() - began_s,
+        cpu_s=companion.cpu_s + stub.cpu_s,
+        box=tape.box.copy(),
+        ticks=tape.ticks.copy(),
+        companion_ended_s=ended_s,
+        armed_at_s=tape.armed_at_s,
+    )
+
+
+def _start_stub(planned: PlannedFlight, folder: Path, tape: Tape) -> Child:
+    options = [
+        "--firmware",
+        planned.stub_firmware,
+        "--seed",
+        str(planned.seed % 1000),
+        "--port",
+        "0",
+        "--json",
+    ]
+    options += ["--die-with-parent", *stub_options(planned, folder)]
+
+    def stub_main() -> int:
+        watch_stub(tape)
+        from sitl_stub.cli import main
+
+        return main(options)
+
+    (folder / "stub.out").write_text("")
+    return fork(stub_main, folder / "stub.out", folder / "stub.err", folder)
+
+
+def _endpoint(stub: Child, folder: Path) -> str:
+    deadline = time.monotonic() + _STARTING_S
+    while time.monotonic() < deadline:
+        line, newline, _ = (folder / "stub.out").read_text().partition("\n")
+        if newline:
+            return str(json.loads(line)["endpoint"])
+        if stub.poll() is not None:
+            raise RuntimeError(f"the stub ended at once: {(folder / 'stub.err').read_text().strip()}")
+        time.sleep(0.005)
+    raise RuntimeError("the stub did not start")
+
+
+def _last_time(tape: Tape) -> float:
+    return float(tape.box[-1, TIME]) if len(tape.box) else math.nan
+
+
+def _look_on(stub: Child, tape: Tape, ended_s: float) -> None:
+    """Let the stub fly on without its companion until the vehicle is down, rests in the air, or time is up."""
+    deadline = time.monotonic() + 3.0 * AFTERWARDS_S / FREE_SPEED + 20.0
+    while stub.poll() is None and time.monotonic() < deadline:
+        box = tape.box
+        if not len(box) or not box[-1, ARMED] or box[-1, TIME] - ended_s > AFTERWARDS_S:
+            return
+        if box[-1, TIME] - ended_s > HANDED_BACK_S + 6.0 and rests(box[-1]) and _was_resting(box):
+            return
+        time.sleep(0.02)
+
+
+def rests(row: FloatArray) -> bool:
+    """Whether a row of the black box shows a vehicle that hangs still in the air."""
+    still = float(np.linalg.norm(row[VELOCITY])) < 0.7 and float(np.linalg.norm(row[BODY_RATE])) < 0.6
+    return still and float(-row[POSITION][2]) > 0.3
+
+
+def _was_resting(box: FloatArray) -> bool:
+    since = box[box[:, TIME] > box[-1, TIME] - HANDED_BACK_S]
+    return all(rests(row) for row in since[::10])
+
+
+def _lines(path: Path) -> tuple[str, ...]:
+    return tuple(path.read_text(errors="replace").splitlines())
+
+
+def _fly_as_command(planned: PlannedFlight, folder: Path) -> Flown:
+    """As a user does: `companion fly --sitl`, a process that imports everything anew."""
+    began_s = time.monotonic()
+    log = folder / "flight.mcap"
+    options = shlex.join(word for word in stub_options(planned, folder) if word != "--lockstep")
+    words = [sys.executable, "-m", "companion.cli.main", *arguments(planned, log)]
+    words += ["--sitl", planned.stub_firmware, "--sitl-options", options]
+    code: int | None = None
+    try:
+        done = subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=WALL_LIMIT_S)
+        code, output, errors = done.returncode, done.stdout, done.stderr
+    except subprocess.TimeoutExpired as late:
+        output, errors = str(late.stdout or ""), str(late.stderr or "")
+    nothing = np.empty((0, BOX_WIDTH))
+    return Flown(
+        planned=planned,
+        log=log,
+        code=code,
+        words=tuple(errors.splitlines()),
+        output=output,
+        stub_code=0,
+        stub_words="",
+        wall_s=time.monotonic() - began_s,
+        cpu_s=0.0,
+        box=nothing,
+        ticks=np.empty((0, TICK_WIDTH)),
+    )

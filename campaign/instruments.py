@@ -1,0 +1,98 @@
+"""Instruments put into the processes of one flight after they were forked: they watch, and strike at a simulated moment.
+
+Nothing of either program is changed by them in what it does: the stub's autopilot reports after each of its steps, the
+companion after each answer to TIMESYNC. Signals are sent from inside so that they fall on the same simulated instant each time.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import time
+from typing import Any
+
+import numpy as np
+
+from campaign.tape import ARMED, BODY_RATE, BOX_WIDTH, MODE, POSITION, QUATERNION, TIME, VELOCITY, Tape
+
+BOX_PERIOD_US = 20_000
+WATCH_ENOUGH_S = 3.0
+"""How long a flight that a pilot has taken is watched before Ctrl-C ends the watching, simulated s."""
+LONGEST_FLIGHT_S = 150.0
+"""Simulated s after arming at which a flight that has not ended is interrupted; nothing planned comes near."""
+
+
+def watch_stub(tape: Tape) -> None:
+    """In the stub's process: let every autopilot that is served write the black box."""
+    import sitl_stub.server as served
+
+    class WatchedServer(served.Server):
+        def run(self, autopilot: Any) -> None:
+            step = autopilot.step
+            due_us = 0
+            row = np.zeros(BOX_WIDTH)
+
+            def watched_step() -> int:
+                nonlocal due_us
+                sent = step()
+                now_us = autopilot.time_us
+                if now_us >= due_us or now_us < due_us - 2 * BOX_PERIOD_US:
+                    due_us = now_us + BOX_PERIOD_US
+                    _fill(row, autopilot)
+                    tape.note_vehicle(row)
+                return int(sent)
+
+            autopilot.step = watched_step
+            super().run(autopilot)
+
+    served.Server = WatchedServer  # type: ignore[misc]
+
+
+def _fill(row: Any, autopilot: Any) -> None:
+    from sitl_stub.physics import vehicle as body
+
+    state = autopilot.core.state
+    row[TIME] = autopilot.time_us * 1e-6
+    row[ARMED] = autopilot.armed
+    commander = getattr(autopilot, "commander", None)
+    row[MODE] = commander.mode.custom_mode if commander is not None else autopilot.mode.number
+    row[POSITION] = state[body.POSITION_NED]
+    row[VELOCITY] = state[body.VELOCITY_NED]
+    row[QUATERNION] = state[body.QUATERNION_WXYZ]
+    row[BODY_RATE] = state[body.BODY_RATE_FRD]
+
+
+def watch_companion(tape: Tape, kill_at_s: float | None, interrupts_at_s: tuple[float, ...]) -> None:
+    """In the companion's process: note ticks, and strike when the stub's black box says that it is time."""
+    from companion.flight.flight import Flight
+    from companion.flight.phases import Phase
+    from companion.mavlink.link import Link
+
+    answer, enter = Link.answer_timesync, Flight._enter
+    strikes = sorted([(at_s, signal.SIGINT) for at_s in interrupts_at_s])
+    if kill_at_s is not None:
+        strikes.append((kill_at_s, signal.SIGKILL))
+    strikes += [(LONGEST_FLIGHT_S, signal.SIGINT), (LONGEST_FLIGHT_S + 2.0, signal.SIGINT)]
+    watching_until_s = math.inf
+    now_s = 0.0
+
+    def watched_answer(link: Any, question: Any) -> None:
+        nonlocal now_s, watching_until_s
+        answer(link, question)
+        now_s = question.ts1 * 1e-9
+        tape.note_tick(now_s, time.monotonic(), time.process_time())
+        if now_s >= watching_until_s:
+            watching_until_s = math.inf
+            os.kill(os.getpid(), signal.SIGINT)
+        if strikes and now_s - tape.armed_at_s >= strikes[0][0]:
+            os.kill(os.getpid(), strikes.pop(0)[1])
+
+    def watched_enter(flight: Any, phase: Phase) -> None:
+        nonlocal watching_until_s
+        if phase is Phase.WATCH:
+            watching_until_s = now_s + WATCH_ENOUGH_S
+        enter(flight, phase)
+
+    Link.answer_timesync = watched_answer  # type: ignore[method-assign]
+    Flight._enter = watched_enter  # type: ignore[method-assign]
