@@ -49,7 +49,7 @@ class Evidence:
     ticks: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
     companion_ended_s: float = float("nan")
     armed_at_s: float = float("nan")
-    wire: Wire = Wire((), True, 0.0)
+    wire: Wire = field(default_factory=lambda: Wire((), True, 0.0))
     events: tuple[LogEvent, ...] = ()
     log_trouble: str = ""
     """Why the log could not be read; empty when it could."""
@@ -86,8 +86,9 @@ class Evidence:
     @cached_property
     def tilt_deg(self) -> FloatArray:
         """(n,) true angle between the thrust axis and the vertical."""
-        w, x, y, z = self.box[:, QUATERNION].T
-        return np.degrees(np.arccos(np.clip(1.0 - 2.0 * (x * x + y * y), -1.0, 1.0)))
+        _, x, y, _ = self.box[:, QUATERNION].T
+        degrees: FloatArray = np.degrees(np.arccos(np.clip(1.0 - 2.0 * (x * x + y * y), -1.0, 1.0)))
+        return degrees
 
     @cached_property
     def height_m(self) -> FloatArray:

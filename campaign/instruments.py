@@ -1,7 +1,8 @@
 """Instruments put into the processes of one flight after they were forked: they watch, and strike at a simulated moment.
 
 Nothing of either program is changed by them in what it does: the stub's autopilot reports after each of its steps, the
-companion after each answer to TIMESYNC. Signals are sent from inside so that they fall on the same simulated instant each time.
+companion after each answer to TIMESYNC. Signals are sent from inside
+so that they fall on the same simulated instant each time.
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ def _fill(row: Any, autopilot: Any) -> None:
 
 def watch_companion(tape: Tape, kill_at_s: float | None, interrupts_at_s: tuple[float, ...]) -> None:
     """In the companion's process: note ticks, and strike when the stub's black box says that it is time."""
-    from companion.flight.flight import Flight
+    from companion.flight.flight import Flight, Interrupts
     from companion.flight.phases import Phase
     from companion.mavlink.link import Link
 
@@ -75,18 +76,25 @@ def watch_companion(tape: Tape, kill_at_s: float | None, interrupts_at_s: tuple[
         strikes.append((kill_at_s, signal.SIGKILL))
     strikes += [(LONGEST_FLIGHT_S, signal.SIGINT), (LONGEST_FLIGHT_S + 2.0, signal.SIGINT)]
     watching_until_s = math.inf
-    now_s = 0.0
+    now_s, struck_s = 0.0, -math.inf
 
     def watched_answer(link: Any, question: Any) -> None:
-        nonlocal now_s, watching_until_s
+        nonlocal now_s, struck_s, watching_until_s
         answer(link, question)
-        now_s = question.ts1 * 1e-9
+        asked_s = question.ts1 * 1e-9
+        if asked_s > tape.now_s + 1.0:
+            return  # at time 0 the stub's answer to our own question reads like a question
+        now_s = asked_s
         tape.note_tick(now_s, time.monotonic(), time.process_time())
         if now_s >= watching_until_s:
             watching_until_s = math.inf
             os.kill(os.getpid(), signal.SIGINT)
         if strikes and now_s - tape.armed_at_s >= strikes[0][0]:
-            os.kill(os.getpid(), strikes.pop(0)[1])
+            number = strikes.pop(0)[1]
+            if number == signal.SIGINT:  # closer than this on our clock they are one wish
+                time.sleep(max(0.0, struck_s + 2.0 * Interrupts.ONE_WISH_S - time.monotonic()))
+                struck_s = time.monotonic()
+            os.kill(os.getpid(), number)
 
     def watched_enter(flight: Any, phase: Phase) -> None:
         nonlocal watching_until_s
@@ -94,5 +102,5 @@ def watch_companion(tape: Tape, kill_at_s: float | None, interrupts_at_s: tuple[
             watching_until_s = now_s + WATCH_ENOUGH_S
         enter(flight, phase)
 
-    Link.answer_timesync = watched_answer  # type: ignore[method-assign]
-    Flight._enter = watched_enter  # type: ignore[method-assign]
+    Link.answer_timesync = watched_answer  # type: ignore[method-assign, assignment]
+    Flight._enter = watched_enter  # type: ignore[method-assign, assignment]

@@ -79,9 +79,9 @@ def truthful_end(e: Evidence) -> str:
     outcome, text = e.ending
     if e.killed or not outcome or not len(e.box):
         return NOT_JUDGED
-    row = e.box[e.at(e.companion_ended_s)]
-    armed = bool(e.armed[e.at(e.companion_ended_s)])
-    down = e.height_m[e.at(e.companion_ended_s)] < 0.3 and float(np.linalg.norm(row[VELOCITY])) < 0.3
+    then = e.at(e.companion_ended_s + 0.1)  # the black box writes every 20 ms, and learns of the end by then
+    armed = bool(e.armed[then])
+    down = e.height_m[then] < 0.3 and float(np.linalg.norm(e.box[then, VELOCITY])) < 0.3
     claims_down = "landed and disarmed" in text or outcome == "completed"
     if claims_down and (armed or not down):
         return f"says {text!r}, but the vehicle is {'armed' if armed else 'disarmed'}, {_height(e)} m up"
@@ -128,7 +128,7 @@ def _may_hang(e: Evidence) -> bool:
 
 
 def setpoints_after_takeover(e: Evidence) -> str:
-    """Once a frame has said that the mode is not ours, that it is disarmed, or that sticks moved: at most one setpoint more."""
+    """Once a frame has said that the mode is not ours, or disarmed, or that sticks moved: at most one setpoint more."""
     if e.log_trouble or not e.wire.frames:
         return NOT_JUDGED
     moment, why = _takeover(e)
@@ -161,7 +161,7 @@ def never_taken_back(e: Evidence) -> str:
 
 
 def _takeover(e: Evidence) -> tuple[int | None, str]:
-    """Index of the first frame by which the companion had to know that the vehicle is no longer its own, and what it said."""
+    """Index of the first frame that says that the vehicle is no longer the companion's own, and what it says."""
     firmware = e.planned.firmware
     asked = ours = was_armed = False
     rest: tuple[float, ...] | None = None
@@ -274,7 +274,8 @@ def _ended_by(e: Evidence, index: int, where: str) -> str:
     late = [frame for frame in e.setpoints if frame.time_s > crossed_s + FENCE_REACTION_S]
     if not late:
         return KEPT
-    return f"{where}, fence {e.planned.fence_radius_m:g} m, at {crossed_s:.2f} s, and setpoints until {late[-1].time_s:.2f} s"
+    last_s = late[-1].time_s
+    return f"{where}, fence {e.planned.fence_radius_m:g} m, at {crossed_s:.2f} s, and setpoints until {last_s:.2f} s"
 
 
 def _leaves(e: Evidence, frame: Frame) -> bool:
@@ -305,6 +306,8 @@ def tilt(e: Evidence) -> str:
     if not len(e.box) or e.planned.has(*TRUTH_BENDING, "estimator_divergence"):
         return NOT_JUDGED
     flying = (e.height_m > 0.15) & (e.armed > 0)
+    if e.killed and e.planned.level == "actuator":
+        flying &= e.box[:, TIME] <= e.companion_ended_s  # nobody stabilises until the autopilot notices
     if not flying.any():
         return NOT_JUDGED
     worst = int(np.argmax(np.where(flying, e.tilt_deg, 0.0)))

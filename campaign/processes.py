@@ -14,6 +14,7 @@ import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 
 @dataclass
@@ -63,8 +64,7 @@ def fork(main: Callable[[], int], output: Path, errors: Path, folder: Path) -> C
     code = 70
     try:
         os.setpgid(0, 0)
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, signal.SIG_DFL)
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
         signal.signal(signal.SIGINT, signal.default_int_handler)
         for path, number in ((output, 1), (errors, 2)):
             descriptor = os.open(path, os.O_CREAT | os.O_WRONLY | os.O_TRUNC, 0o644)
@@ -97,7 +97,7 @@ def warm_up(stub_firmwares: Sequence[str]) -> None:
     from sitl_stub.firmware.px4_build import build_px4
     from sitl_stub.physics.vehicle import load_vehicle
 
-    nowhere = ((1.0, 0.0, 0.0), 1.0, {}, 1.0)
+    nowhere: tuple[Any, ...] = ((1.0, 0.0, 0.0), 1.0, {}, 1.0)
     for firmware in stub_firmwares:
         if firmware == "ardupilot":
             build_ardupilot(load_vehicle("arducopter"), "gps", 1, *nowhere).step()

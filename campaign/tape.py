@@ -66,6 +66,12 @@ class Tape:
         return float(self._head[2])
 
     @property
+    def now_s(self) -> float:
+        """Newest time in the black box, s of simulated time; 0 before its first row."""
+        count = int(self._head[0])
+        return float(self._box[count - 1, TIME]) if count else 0.0
+
+    @property
     def box(self) -> FloatArray:
         """(n, BOX_WIDTH) so far."""
         return self._box[: int(self._head[0])]
