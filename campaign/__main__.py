@@ -234,7 +234,7 @@ def _progress(done: int, total: int, passed_s: float, tally: Tally, result: Resu
         name, word = next(iter(result.broken.items()))
         clear = "\r\x1b[K" if moving else ""
         print(
-            f"{clear}{result.firmware} {result.seed} ({', '.join(result.kinds)}): {first[0]}: {first[1]}",
+            f"{clear}{result.firmware} {result.seed} ({', '.join(result.kinds)}): {name}: {word}",
             file=sys.stderr,
         )
     if moving:
@@ -267,8 +267,13 @@ def _hunt(name: str, firmware: str, first_seed: int, scratch: Path) -> dict[str,
         folder = scratch / f"{name}-{firmware}-{flight.seed}"
         result, _, _ = fly_and_judge(flight, folder, DEFECTS[name].plant)
         shutil.rmtree(folder, ignore_errors=True)
-        if result.broken:
-            by = next(iter(result.broken))
+        if not result.broken:
+            continue
+        sound, _, _ = fly_and_judge(flight, folder)  # what breaks without the defect does not show the defect
+        shutil.rmtree(folder, ignore_errors=True)
+        for by in result.broken:
+            if by in sound.broken:
+                continue
             return {
                 "defect": name,
                 "firmware": firmware,

@@ -133,7 +133,9 @@ def planned(firmware: str, seed: int) -> PlannedFlight:
     tight = draw.random() < 0.35
     slack_m = draw.uniform(0.1, 0.4)
     sort = draw.random()
-    kill, interrupts, faults = None, (), ()
+    kill: float | None = None
+    interrupts: tuple[float, ...] = ()
+    faults: tuple[Fault, ...] = ()
     if sort < 0.08:
         pass
     elif sort < 0.15:

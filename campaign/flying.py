@@ -18,7 +18,18 @@ from campaign.draw import PlannedFlight
 from campaign.faults import scenario
 from campaign.instruments import watch_companion, watch_stub
 from campaign.processes import Child, fork
-from campaign.tape import ARMED, BODY_RATE, BOX_WIDTH, POSITION, TICK_WIDTH, TIME, VELOCITY, FloatArray, Tape
+from campaign.tape import (
+    ARMED,
+    BODY_RATE,
+    BOX_WIDTH,
+    POSITION,
+    QUATERNION,
+    TICK_WIDTH,
+    TIME,
+    VELOCITY,
+    FloatArray,
+    Tape,
+)
 
 WALL_LIMIT_S = 240.0
 """Our time that a flight may take; on an idle machine it takes 4 s."""
@@ -172,9 +183,11 @@ def _look_on(stub: Child, tape: Tape, ended_s: float) -> None:
 
 
 def rests(row: FloatArray) -> bool:
-    """Whether a row of the black box shows a vehicle that hangs still in the air."""
-    still = float(np.linalg.norm(row[VELOCITY])) < 0.7 and float(np.linalg.norm(row[BODY_RATE])) < 0.6
-    return still and float(-row[POSITION][2]) > 0.3
+    """Whether a row of the black box shows a vehicle that keeps its height, level; ArduCopter drifts with the wind then."""
+    _, x, y, _ = row[QUATERNION]
+    level = 1.0 - 2.0 * float(x * x + y * y) > math.cos(math.radians(20.0))
+    still = abs(float(row[VELOCITY][2])) < 0.5 and float(np.linalg.norm(row[BODY_RATE])) < 0.8
+    return level and still and float(-row[POSITION][2]) > 0.3
 
 
 def _was_resting(box: FloatArray) -> bool:

@@ -121,7 +121,7 @@ def safe_afterwards(e: Evidence) -> str:
 
 
 def _may_hang(e: Evidence) -> bool:
-    """ArduCopter without targets holds its height in GUIDED; a vehicle handed back or taken holds its place."""
+    """ArduCopter without targets levels and keeps its height in GUIDED; one handed back or taken keeps its place."""
     if e.planned.firmware == "ardupilot":
         return True
     return e.ending[0] in ("handed back", "pilot took over") or e.planned.has("pilot_mode", "pilot_sticks")
