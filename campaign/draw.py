@@ -26,7 +26,6 @@ WIDE_M = 30.0
 
 _QUICK = (
     "flight.procedure.prove_s=1",
-    "flight.procedure.lift_off_rate=1.0",
     "flight.procedure.hold_s=1.0",
     "flight.procedure.transit_speed_m_s=1.0",
     "flight.procedure.transit_acceleration_m_s2=1.2",
