@@ -83,6 +83,11 @@ class ArduPilot(Autopilot):
         return self._armed
 
     @property
+    def takes_setpoints(self) -> bool:
+        """Whether GUIDED or GUIDED_NOGPS flies."""
+        return self.mode.value.takes_targets
+
+    @property
     def in_arming_delay(self) -> bool:
         """The first two seconds after arming: the motors do not turn yet."""
         return self._armed and self.time_us - self._armed_us <= ARMING_DELAY_US

@@ -11,18 +11,24 @@ import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sitl_stub.firmware.parameters import INT32, ParameterError, ParameterTable
 from sitl_stub.firmware.streams import Builder, LinkStreams, StreamTable
 from sitl_stub.firmware.vehicle_core import VehicleCore
 from sitl_stub.mavlink.codec import LAYOUTS, Received
 from sitl_stub.mavlink.links import Link
+from sitl_stub.physics import vehicle as body
+
+if TYPE_CHECKING:
+    from sitl_stub.faults.director import FaultDirector
 
 LOGIC_PERIOD_US = 10_000
 PARAMETERS_PER_INSTANT = 10
 REFUSED_PROBE_US = 500_000
 UINT32 = 5
+AIRBORNE_ABOVE_M = 0.05
+"""Truth, for what comes after take-off."""
 SIMULATED_EPOCH_US = 1_795_335_292_521_929
 """Unix time of boot, µs: that of the PX4 capture. Fixed, so that SYSTEM_TIME repeats."""
 
@@ -76,6 +82,8 @@ class Autopilot:
         """Called with every notable event in words (the command line prints them)."""
         self.lockstep = False
         """Set by the server: TIMESYNC requests are then its business."""
+        self.faults: FaultDirector | None = None
+        """What is to go wrong; it puts itself here."""
         self._parameter_changes = parameters.changes
         self.commands: dict[int, CommandHandler] = {
             410: self._ignore_command,
@@ -117,6 +125,18 @@ class Autopilot:
         """Whether the rotors may turn."""
         raise NotImplementedError
 
+    @property
+    def takes_setpoints(self) -> bool:
+        """Whether it is in a mode that flies what a companion sends."""
+        raise NotImplementedError
+
+    @property
+    def airborne(self) -> bool:
+        """Whether the feet are off the ground in truth."""
+        core = self.core
+        clearance = float(core.environment[body.GROUND_DOWN] - core.state[body.POSITION + 2])
+        return clearance - core.vehicle.foot_height_m > AIRBORNE_ABOVE_M
+
     # --- time --------------------------------------------------------------------------------------------------
     @property
     def time_us(self) -> int:
@@ -125,18 +145,34 @@ class Autopilot:
 
     @property
     def next_instant_us(self) -> int:
-        """The next instant at which logic runs or messages may be due."""
+        """The next instant at which logic runs, messages may be due or a fault has something to do."""
         now = self.core.time_us
         loop = self.streams.loop_period_us
-        return min((now // loop + 1) * loop, (now // LOGIC_PERIOD_US + 1) * LOGIC_PERIOD_US)
+        instant = min((now // loop + 1) * loop, (now // LOGIC_PERIOD_US + 1) * LOGIC_PERIOD_US)
+        return instant if self.faults is None else self.faults.next_instant_us(instant)
+
+    def whole_period_us(self, time_us: int) -> int:
+        """The first whole control period not before `time_us`."""
+        period = self.core.control_period_us
+        return -(-time_us // period) * period
+
+    @property
+    def next_period_us(self) -> int:
+        """The end of the control period that begins now."""
+        return self.core.time_us + self.core.control_period_us
 
     def step(self) -> int:
         """Go on to the next instant, run what is due there and send; returns the number of messages sent."""
         instant = self.next_instant_us
         self.core.advance_to(instant)
+        sent = 0
+        if self.faults is not None:
+            sent = self.faults.run()
+            if instant % LOGIC_PERIOD_US and instant % self.streams.loop_period_us:
+                return sent  # an instant of the faults alone
         if instant % LOGIC_PERIOD_US == 0:
             self.run_logic()
-        return self.send_due()
+        return sent + self.send_due()
 
     def advance_to(self, time_us: int) -> None:
         """Run every instant up to `time_us` and the loops up to it (whole control periods)."""
@@ -164,6 +200,8 @@ class Autopilot:
         link.writer.component = self.component_id
         self.links.append(link)
         link.firmware_data = self.streams.open(link, self.time_us)
+        if self.faults is not None:
+            self.faults.frames.take_on(link)
         self.link_opened(link)
 
     def detach(self, link: Link) -> None:
@@ -171,6 +209,8 @@ class Autopilot:
         if link in self.links:
             self.links.remove(link)
             self.streams.close(link)
+            if self.faults is not None:
+                self.faults.frames.let_go(link)
 
     def broadcast(self, name: str, **fields: Any) -> None:
         """Send one message to every client."""
@@ -183,8 +223,15 @@ class Autopilot:
         self.broadcast("STATUSTEXT", severity=severity, text=text[:50])
 
     def handle(self, link: Link, message: Received) -> None:
-        """Take in one message of a client at the present instant."""
+        """A message of a client has come at the present instant: faults of the link may lose, delay or damage it."""
         link.last_heard_us = self.time_us
+        if self.faults is None:
+            self.take_in(link, message)
+        else:
+            self.faults.frames.take_in(link, message)
+
+    def take_in(self, link: Link, message: Received) -> None:
+        """Take in one message of a client."""
         link.writer.version = message.mavlink_version
         handler = self.messages.get(message.name)
         if handler is None:

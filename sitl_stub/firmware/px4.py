@@ -116,6 +116,11 @@ class Px4(Autopilot):
         return self.commander.armed
 
     @property
+    def takes_setpoints(self) -> bool:
+        """Whether OFFBOARD flies."""
+        return self.commander.mode is Mode.OFFBOARD
+
+    @property
     def estimator_ready(self) -> bool:
         """Whether the estimate has converged."""
         return self.time_us >= self.estimator_after_us

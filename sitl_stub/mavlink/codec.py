@@ -86,6 +86,8 @@ class Received:
     component: int
     mavlink_version: int
     values: dict[str, Any]
+    frame: bytes = b""
+    """The whole frame as it came."""
 
     def __getattr__(self, name: str) -> Any:
         try:
@@ -211,7 +213,7 @@ class FrameReader:
             counters.received += 1
             values = unpack_payload(layout, data[at + header : body_end])
             version = 2 if magic == MAVLINK2_MAGIC else 1
-            yield Received(layout.name, system, component, version, values)
+            yield Received(layout.name, system, component, version, values, data[at : at + total])
             at += total
 
 

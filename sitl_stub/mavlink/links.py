@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import socket
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -47,11 +48,22 @@ class Link:
         self.refused = False
         """True when the last datagram found nobody at the address (Linux reports it on loopback)."""
         self.firmware_data: Any = None
+        self.outgoing: Callable[[MessageLayout, bytes], None] | None = None
+        """What a frame goes through instead of `send_bytes`: faults of the link."""
 
     def send_frame(self, layout: MessageLayout, values: tuple[Any, ...]) -> None:
         """Send one message given its values in wire order."""
         if layout.message_id > 255 and self.writer.version == 1:
             return
+        self.counters.sent += 1
+        frame = self.writer.frame(layout, values)
+        if self.outgoing is None:
+            self.send_bytes(frame)
+        else:
+            self.outgoing(layout, frame)
+
+    def send_past_faults(self, layout: MessageLayout, values: tuple[Any, ...]) -> None:
+        """Send one message that no fault touches: the questions of lockstep."""
         self.counters.sent += 1
         self.send_bytes(self.writer.frame(layout, values))
 
@@ -63,7 +75,11 @@ class Link:
     def send_payload(self, layout: MessageLayout, payload: bytes) -> None:
         """Send one message whose payload is already packed."""
         self.counters.sent += 1
-        self.send_bytes(self.writer.frame_of_payload(layout, payload))
+        frame = self.writer.frame_of_payload(layout, payload)
+        if self.outgoing is None:
+            self.send_bytes(frame)
+        else:
+            self.outgoing(layout, frame)
 
     def send_bytes(self, frame: bytes) -> None:
         """Hand one frame to the socket."""

@@ -1,0 +1,145 @@
+"""What faults do to frames on their way: a pipeline of active faults and a queue of frames that are late.
+
+A frame is the unit, whatever carries it. In lockstep the TIMESYNC questions and answers that simulated time waits for go
+past all this: they are no part of the link. Frames keep their order, except those that a fault holds back.
+"""
+
+from __future__ import annotations
+
+import heapq
+import random
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal, Protocol
+
+from sitl_stub.mavlink.codec import MessageLayout, Received
+from sitl_stub.mavlink.links import Link
+
+if TYPE_CHECKING:
+    from sitl_stub.firmware.autopilot import Autopilot
+
+Direction = Literal["to_client", "from_client"]
+
+
+@dataclass(frozen=True, slots=True)
+class Parcel:
+    """A frame on its way."""
+
+    frame: bytes
+    late_s: float = 0.0
+    """How late it and, at the earliest, every frame after it arrive."""
+    held_s: float = 0.0
+    """How much later still, overtaken by others."""
+
+
+class FrameFault(Protocol):
+    """What a fault does with one frame."""
+
+    def affects(self, direction: Direction, message: str) -> bool:
+        """Whether it has to do with messages of that name on that way."""
+
+    def passed(self, parcel: Parcel, draw: random.Random) -> list[Parcel]:
+        """What becomes of a frame: nothing, itself, or several."""
+
+
+@dataclass(slots=True)
+class _Active:
+    fault: FrameFault
+    random_for: Callable[[str], random.Random]
+    draws: dict[tuple[int, Direction], random.Random] = field(default_factory=dict)
+
+    def draw(self, link_number: int, direction: Direction) -> random.Random:
+        """Numbers for one link and direction, so that links do not disturb each other's."""
+        key = (link_number, direction)
+        if key not in self.draws:
+            self.draws[key] = self.random_for(f"{link_number}/{direction}")
+        return self.draws[key]
+
+
+class FrameFaults:
+    """Every fault of frames of one autopilot."""
+
+    def __init__(self, autopilot: Autopilot) -> None:
+        self.autopilot = autopilot
+        self._active: list[_Active] = []
+        self._queue: list[tuple[int, int, Link, Direction, bytes, Received | None]] = []
+        self._order = 0
+        self._link_numbers: dict[int, int] = {}
+        self._last_due_us: dict[tuple[int, Direction], int] = {}
+
+    def take_on(self, link: Link) -> None:
+        """Stand between `link` and its socket."""
+        self._link_numbers[id(link)] = len(self._link_numbers)
+        link.outgoing = lambda layout, frame: self._send(link, layout, frame)
+
+    def let_go(self, link: Link) -> None:
+        """Forget a link and what is still on its way."""
+        link.outgoing = None
+        self._queue = [item for item in self._queue if item[2] is not link]
+        heapq.heapify(self._queue)
+
+    def begin(self, fault: FrameFault, random_for: Callable[[str], random.Random]) -> Callable[[], None]:
+        """Let `fault` act on every frame from now on; returns what ends it."""
+        active = _Active(fault, random_for)
+        self._active.append(active)
+        return lambda: self._active.remove(active)
+
+    @property
+    def next_due_us(self) -> int | None:
+        """When the next late frame arrives."""
+        return self._queue[0][0] if self._queue else None
+
+    def deliver_due(self, now_us: int) -> int:
+        """Let every late frame arrive that is due; returns how many were sent to clients."""
+        sent = 0
+        while self._queue and self._queue[0][0] <= now_us:
+            _, _, link, direction, frame, message = heapq.heappop(self._queue)
+            self._arrive(link, direction, frame, message)
+            sent += direction == "to_client"
+        return sent
+
+    def take_in(self, link: Link, message: Received) -> None:
+        """A frame of a client has come: what reaches the autopilot of it, and when."""
+        if not self._active and not self._queue:
+            self.autopilot.take_in(link, message)
+            return
+        link.counters.received -= 1
+        self._pass(link, "from_client", message.name, message.frame, message)
+
+    def _send(self, link: Link, layout: MessageLayout, frame: bytes) -> None:
+        if not self._active and not self._queue:
+            link.send_bytes(frame)
+        else:
+            self._pass(link, "to_client", layout.name, frame, None)
+
+    def _pass(
+        self, link: Link, direction: Direction, name: str, frame: bytes, message: Received | None
+    ) -> None:
+        parcels = [Parcel(frame)]
+        number = self._link_numbers[id(link)]
+        for active in self._active:
+            if active.fault.affects(direction, name):
+                draw = active.draw(number, direction)
+                parcels = [out for one in parcels for out in active.fault.passed(one, draw)]
+        now = self.autopilot.time_us
+        for parcel in parcels:
+            key = (number, direction)
+            in_order = max(now + round(parcel.late_s * 1e6), self._last_due_us.get(key, 0))
+            self._last_due_us[key] = in_order
+            due = self.autopilot.whole_period_us(in_order + round(parcel.held_s * 1e6))
+            whole_message = message if parcel.frame is frame else None
+            if due <= now:
+                self._arrive(link, direction, parcel.frame, whole_message)
+            else:
+                self._order += 1
+                heapq.heappush(self._queue, (due, self._order, link, direction, parcel.frame, whole_message))
+
+    def _arrive(self, link: Link, direction: Direction, frame: bytes, message: Received | None) -> None:
+        if direction == "to_client":
+            link.send_bytes(frame)
+        elif message is not None:
+            link.counters.received += 1
+            self.autopilot.take_in(link, message)
+        else:
+            for damaged in link.reader.read_datagram(frame):
+                self.autopilot.take_in(link, damaged)

@@ -1,0 +1,49 @@
+"""Every kind of fault by its name in scenario files: one line each."""
+
+from __future__ import annotations
+
+from sitl_stub.faults import link_faults
+from sitl_stub.faults.fault import Fault, Parameter
+
+KINDS: dict[str, type[Fault]] = {
+    kind.kind: kind
+    for kind in (
+        link_faults.LinkLoss,
+        link_faults.LinkDelay,
+        link_faults.LinkJitter,
+        link_faults.LinkDuplicate,
+        link_faults.LinkReorder,
+        link_faults.LinkCorrupt,
+        link_faults.LinkTruncate,
+        link_faults.AckLoss,
+        link_faults.ParameterLoss,
+    )
+}
+
+
+def described() -> str:
+    """Every kind with its parameters, units, bounds and defaults: what `sitl-stub --list-faults` prints."""
+    lines = []
+    for name, kind in KINDS.items():
+        lines.append(f"{name}: {kind.summary()}")
+        if kind.momentary:
+            lines[-1] += " Momentary: takes no for_s."
+        for parameter, facts in kind.parameters().items():
+            default = kind.defaults()[parameter]
+            lines.append(f"    {parameter} = {toml_value(default)}{_range(facts)}  {facts.meaning}")
+    return "\n".join(lines)
+
+
+def _range(facts: Parameter) -> str:
+    if facts.kind in (int, float):
+        return f" {facts.unit}".rstrip() + f" ({facts.least:g} to {facts.most:g})"
+    return f" ({' | '.join(facts.options)})" if facts.kind is str and facts.options else ""
+
+
+def toml_value(value: object) -> str:
+    """A parameter as it is written in a scenario file."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, tuple):
+        return "[" + ", ".join(f'"{name}"' for name in value) + "]"
+    return f'"{value}"' if isinstance(value, str) else f"{value:g}"
