@@ -35,8 +35,78 @@ def scenario(seed: int, faults: tuple[Fault, ...]) -> str:
 
 
 Drawn = Callable[[random.Random, str], Fault]
+IN_FLIGHT_S = (0.5, 9.0)
+"""After lift-off; a flight tracks from about 6 s to 11 s after it."""
 
-KINDS: dict[str, Drawn] = {}
+
+def _lasting(kind: str, for_s: tuple[float, float], **ranges: tuple[float, float]) -> Drawn:
+    """A fault in flight that lasts, with evenly distributed parameters."""
+
+    def drawn(draw: random.Random, firmware: str) -> Fault:
+        values = tuple((name, round(draw.uniform(*limits), 3)) for name, limits in ranges.items())
+        return Fault(kind, "airborne", _moment(draw), round(draw.uniform(*for_s), 2), values)
+
+    return drawn
+
+
+def _moment(draw: random.Random) -> float:
+    return round(draw.uniform(*IN_FLIGHT_S), 2)
+
+
+def _link(kind: str, for_s: tuple[float, float], **ranges: tuple[float, float]) -> Drawn:
+    """A fault of the link: one way or both, from the start for a while, or in flight."""
+
+    def drawn(draw: random.Random, firmware: str) -> Fault:
+        values: list[tuple[str, float | str]] = [
+            ("direction", draw.choice(("both", "to_client", "from_client")))
+        ]
+        values += [(name, round(draw.uniform(*limits), 3)) for name, limits in ranges.items()]
+        if draw.random() < 0.2:
+            return Fault(kind, "start", round(draw.uniform(0.5, 3.0), 2), 40.0, tuple(values))
+        return Fault(kind, "airborne", _moment(draw), round(draw.uniform(*for_s), 2), tuple(values))
+
+    return drawn
+
+
+def _answers(kind: str) -> Drawn:
+    """Answers that are lost from the start on, for a while or for good."""
+
+    def drawn(draw: random.Random, firmware: str) -> Fault:
+        share = draw.choice((0.3, 0.6, 1.0))
+        for_s = None if draw.random() < 0.3 else round(draw.uniform(0.5, 15.0), 2)
+        return Fault(
+            kind,
+            draw.choice(("start", "armed")),
+            round(draw.uniform(0.0, 8.0), 2),
+            for_s,
+            (("probability", share),),
+        )
+
+    return drawn
+
+
+def _bits(draw: random.Random, firmware: str) -> Fault:
+    fault = _link("link_corrupt", (1.0, 8.0), probability=(0.02, 0.5))(draw, firmware)
+    return Fault(
+        fault.kind,
+        fault.after,
+        fault.at_s,
+        fault.for_s,
+        (*fault.parameters, ("bits", draw.choice((1, 2, 8, 40)))),
+    )
+
+
+KINDS: dict[str, Drawn] = {
+    "link_loss": _link("link_loss", (0.1, 8.0), probability=(0.05, 1.0)),
+    "link_delay": _link("link_delay", (0.5, 8.0), delay_s=(0.01, 0.6)),
+    "link_jitter": _link("link_jitter", (0.5, 8.0), jitter_s=(0.005, 0.3)),
+    "link_duplicate": _link("link_duplicate", (1.0, 10.0), probability=(0.05, 1.0)),
+    "link_reorder": _link("link_reorder", (1.0, 8.0), probability=(0.02, 0.6), delay_s=(0.01, 0.3)),
+    "link_corrupt": _bits,
+    "link_truncate": _link("link_truncate", (1.0, 8.0), probability=(0.02, 0.5)),
+    "ack_loss": _answers("ack_loss"),
+    "parameter_loss": _answers("parameter_loss"),
+}
 """How each kind is drawn; the firmware is given."""
 
 

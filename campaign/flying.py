@@ -22,7 +22,6 @@ from campaign.tape import (
     ARMED,
     BODY_RATE,
     BOX_WIDTH,
-    POSITION,
     QUATERNION,
     TICK_WIDTH,
     TIME,
@@ -31,7 +30,7 @@ from campaign.tape import (
     Tape,
 )
 
-WALL_LIMIT_S = 240.0
+WALL_LIMIT_S = 600.0
 """Our time that a flight may take; on an idle machine it takes 4 s."""
 FREE_SPEED = 20.0
 """How much faster than real time the stub goes on when its companion is gone."""
@@ -187,7 +186,7 @@ def rests(row: FloatArray) -> bool:
     _, x, y, _ = row[QUATERNION]
     level = 1.0 - 2.0 * float(x * x + y * y) > math.cos(math.radians(20.0))
     still = abs(float(row[VELOCITY][2])) < 0.5 and float(np.linalg.norm(row[BODY_RATE])) < 0.8
-    return level and still and float(-row[POSITION][2]) > 0.3
+    return level and still
 
 
 def _was_resting(box: FloatArray) -> bool:

@@ -20,6 +20,8 @@ from campaign.tape import ARMED, BODY_RATE, BOX_WIDTH, MODE, POSITION, QUATERNIO
 BOX_PERIOD_US = 20_000
 WATCH_ENOUGH_S = 3.0
 """How long a flight that a pilot has taken is watched before Ctrl-C ends the watching, simulated s."""
+LOCKSTEP_PATIENCE_S = 60.0
+"""Wall time that simulated time waits for an answer: on a machine with other work two seconds may pass."""
 LONGEST_FLIGHT_S = 150.0
 """Simulated s after arming at which a flight that has not ended is interrupted; nothing planned comes near."""
 
@@ -47,6 +49,7 @@ def watch_stub(tape: Tape) -> None:
             autopilot.step = watched_step
             super().run(autopilot)
 
+    served.BARRIER_PATIENCE_S = LOCKSTEP_PATIENCE_S
     served.Server = WatchedServer  # type: ignore[misc]
 
 
