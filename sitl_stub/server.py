@@ -261,7 +261,7 @@ class Server:
                 next_probe = now + START_REPEAT_S
                 for link in links:
                     autopilot.streams.build(link, heartbeat)
-                    self._request_answer(link, self._barriers[id(link)], autopilot.time_us)
+                    self._request_answer(link, self._barriers[id(link)], autopilot.clock_us)
                     probed.add(id(link))
                 self._handle(self._receive(0.002))
                 if any(isinstance(link, UdpLink) and link.refused for link in autopilot.links):
@@ -279,18 +279,18 @@ class Server:
                     barrier.waiting_for_ns = -1
                 return
 
-    def _request_answer(self, link: Link, barrier: Barrier, time_us: int) -> None:
-        barrier.waiting_for_ns = time_us * 1000
-        link.send_past_faults(_TIMESYNC, (0, time_us * 1000))
+    def _request_answer(self, link: Link, barrier: Barrier, clock_us: int) -> None:
+        barrier.waiting_for_ns = clock_us * 1000
+        link.send_past_faults(_TIMESYNC, (0, clock_us * 1000))
 
     def _request_answers(self, autopilot: Autopilot) -> None:
         for link in autopilot.links:
             barrier = self._barriers[id(link)]
             if barrier.takes_part:
-                self._request_answer(link, barrier, autopilot.time_us)
+                self._request_answer(link, barrier, autopilot.clock_us)
             elif not autopilot.time_us % 1_000_000:
                 # a client that has not answered yet may begin to
-                link.send_past_faults(_TIMESYNC, (0, autopilot.time_us * 1000))
+                link.send_past_faults(_TIMESYNC, (0, autopilot.clock_us * 1000))
 
     def _wait_for_answers(self, autopilot: Autopilot) -> None:
         deadline = time.monotonic() + BARRIER_PATIENCE_S

@@ -42,6 +42,7 @@ class FaultDirector:
         self._waiting: list[_Planned] = []
         self._running: list[_Planned] = []
         self._count = 0
+        self._shared: dict[str, list[float]] = {}
         self._next_us: int | None = None
         autopilot.faults = self
         for link in autopilot.links:
@@ -52,7 +53,7 @@ class FaultDirector:
     def plan(self, entry: Entry) -> int | None:
         """Take on a fault; returns when it begins (simulated µs), None while what it comes after has not happened."""
         self._count += 1
-        site = Site(self.autopilot, self.frames, f"{self._count}/{entry.fault.kind}", self.seed)
+        site = Site(self.autopilot, self.frames, f"{self._count}/{entry.fault.kind}", self.seed, self._shared)
         planned = _Planned(entry, site)
         self._waiting.append(planned)
         self._look()

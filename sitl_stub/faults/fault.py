@@ -7,8 +7,9 @@ Python, `--list-faults` and the table in docs/faults.md all come from that one d
 
 from __future__ import annotations
 
+import contextlib
 import random
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import Field, dataclass, field, fields
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -53,7 +54,7 @@ class Parameter:
         if self.kind is tuple:
             is_list = isinstance(value, list | tuple) and len(value) > 0
             good = is_list and all(isinstance(name, str) and name in self.options for name in value)
-            return None if good else f"give a list of {self.meaning}, for example ['{self.options[0]}']"
+            return None if good else f'give a list of {self.meaning}, for example ["{self.options[0]}"]'
         numeric = isinstance(value, int if self.kind is int else (int, float)) and not isinstance(value, bool)
         if numeric and self.least <= value <= self.most:
             return None
@@ -102,8 +103,24 @@ class Site:
     name: str
     """Distinguishes it from every other fault of a run; with the seed it gives `random`."""
     seed: int
+    shared: dict[str, list[float]]
+    """What several faults set at once, each its own value: see `setting`."""
     begun_us: int = 0
     ends_us: int | None = None
+
+    @contextlib.contextmanager
+    def setting(
+        self, what: str, value: float, use: Callable[[float], None], otherwise: float
+    ) -> Iterator[None]:
+        """While it lasts, let `use` have the least value of all faults that set `what`; in the end `otherwise`."""
+        values = self.shared.setdefault(what, [])
+        values.append(value)
+        use(min(values))
+        try:
+            yield
+        finally:
+            values.remove(value)
+            use(min(values, default=otherwise))
 
     @property
     def elapsed_s(self) -> float:

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import heapq
 import random
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, Protocol
 
-from sitl_stub.mavlink.codec import MessageLayout, Received
+from sitl_stub.mavlink.codec import LAYOUTS, MessageLayout, Received
 from sitl_stub.mavlink.links import Link
 
 if TYPE_CHECKING:
@@ -63,6 +64,7 @@ class FrameFaults:
         self.autopilot = autopilot
         self._active: list[_Active] = []
         self._queue: list[tuple[int, int, Link, Direction, bytes, Received | None]] = []
+        self._muted: Counter[int] = Counter()
         self._order = 0
         self._link_numbers: dict[int, int] = {}
         self._last_due_us: dict[tuple[int, Direction], int] = {}
@@ -70,11 +72,12 @@ class FrameFaults:
     def take_on(self, link: Link) -> None:
         """Stand between `link` and its socket."""
         self._link_numbers[id(link)] = len(self._link_numbers)
+        link.muted = self._muted
         link.outgoing = lambda layout, frame: self._send(link, layout, frame)
 
     def let_go(self, link: Link) -> None:
         """Forget a link and what is still on its way."""
-        link.outgoing = None
+        link.outgoing, link.muted = None, {}
         self._queue = [item for item in self._queue if item[2] is not link]
         heapq.heapify(self._queue)
 
@@ -83,6 +86,19 @@ class FrameFaults:
         active = _Active(fault, random_for)
         self._active.append(active)
         return lambda: self._active.remove(active)
+
+    def mute(self, messages: Sequence[str]) -> Callable[[], None]:
+        """Let the autopilot stop sending messages of these names, to every client; returns what ends it."""
+        numbers = [LAYOUTS[name].message_id for name in set(messages)]
+        self._muted.update(numbers)
+
+        def end() -> None:
+            self._muted.subtract(numbers)
+            for number in numbers:
+                if not self._muted[number]:
+                    del self._muted[number]
+
+        return end
 
     @property
     def next_due_us(self) -> int | None:

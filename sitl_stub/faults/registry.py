@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
-from sitl_stub.faults import link_faults
+from sitl_stub.faults import (
+    clock_faults,
+    estimator_faults,
+    firmware_faults,
+    link_faults,
+    pilot_faults,
+    vehicle_faults,
+)
 from sitl_stub.faults.fault import Fault, Parameter
 
 KINDS: dict[str, type[Fault]] = {
@@ -17,6 +24,22 @@ KINDS: dict[str, type[Fault]] = {
         link_faults.LinkTruncate,
         link_faults.AckLoss,
         link_faults.ParameterLoss,
+        firmware_faults.StreamStop,
+        firmware_faults.Reboot,
+        clock_faults.ClockJump,
+        clock_faults.ClockDrift,
+        estimator_faults.EstimatorReset,
+        estimator_faults.EstimatorDivergence,
+        estimator_faults.EstimatorInvalid,
+        estimator_faults.GpsLoss,
+        pilot_faults.PilotMode,
+        pilot_faults.PilotSticks,
+        pilot_faults.PilotDisarm,
+        pilot_faults.PilotKill,
+        vehicle_faults.MotorFailure,
+        vehicle_faults.BatteryCritical,
+        vehicle_faults.PayloadDrop,
+        vehicle_faults.Gust,
     )
 }
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -48,12 +48,14 @@ class Link:
         self.refused = False
         """True when the last datagram found nobody at the address (Linux reports it on loopback)."""
         self.firmware_data: Any = None
+        self.muted: Mapping[int, int] = {}
+        """Messages, by id, that are not sent at all: faults of the autopilot's streams."""
         self.outgoing: Callable[[MessageLayout, bytes], None] | None = None
         """What a frame goes through instead of `send_bytes`: faults of the link."""
 
     def send_frame(self, layout: MessageLayout, values: tuple[Any, ...]) -> None:
         """Send one message given its values in wire order."""
-        if layout.message_id > 255 and self.writer.version == 1:
+        if (layout.message_id > 255 and self.writer.version == 1) or layout.message_id in self.muted:
             return
         self.counters.sent += 1
         frame = self.writer.frame(layout, values)
@@ -74,6 +76,8 @@ class Link:
 
     def send_payload(self, layout: MessageLayout, payload: bytes) -> None:
         """Send one message whose payload is already packed."""
+        if layout.message_id in self.muted:
+            return
         self.counters.sent += 1
         frame = self.writer.frame_of_payload(layout, payload)
         if self.outgoing is None:
