@@ -33,16 +33,20 @@ def watch_stub(tape: Tape) -> None:
     class WatchedServer(served.Server):
         def run(self, autopilot: Any) -> None:
             step = autopilot.step
-            due_us = 0
+            due_us = before_us = gone_us = 0
             row = np.zeros(BOX_WIDTH)
 
             def watched_step() -> int:
-                nonlocal due_us
+                nonlocal due_us, before_us, gone_us
                 sent = step()
-                now_us = autopilot.time_us
-                if now_us >= due_us or now_us < due_us - 2 * BOX_PERIOD_US:
+                if autopilot.time_us < before_us:
+                    gone_us += before_us  # restarted: the box's time goes on
+                before_us = autopilot.time_us
+                now_us = gone_us + before_us
+                if now_us >= due_us:
                     due_us = now_us + BOX_PERIOD_US
                     _fill(row, autopilot)
+                    row[TIME] = now_us * 1e-6
                     tape.note_vehicle(row)
                 return int(sent)
 
@@ -57,7 +61,6 @@ def _fill(row: Any, autopilot: Any) -> None:
     from sitl_stub.physics import vehicle as body
 
     state = autopilot.core.state
-    row[TIME] = autopilot.time_us * 1e-6
     row[ARMED] = autopilot.armed
     commander = getattr(autopilot, "commander", None)
     row[MODE] = commander.mode.custom_mode if commander is not None else autopilot.mode.number
@@ -79,20 +82,18 @@ def watch_companion(tape: Tape, kill_at_s: float | None, interrupts_at_s: tuple[
         strikes.append((kill_at_s, signal.SIGKILL))
     strikes += [(LONGEST_FLIGHT_S, signal.SIGINT), (LONGEST_FLIGHT_S + 2.0, signal.SIGINT)]
     watching_until_s = math.inf
-    now_s, struck_s = 0.0, -math.inf
+    struck_s = -math.inf
 
     def watched_answer(link: Any, question: Any) -> None:
-        nonlocal now_s, struck_s, watching_until_s
+        nonlocal struck_s, watching_until_s
         answer(link, question)
-        asked_s = question.ts1 * 1e-9
-        if asked_s > tape.now_s + 1.0:
+        if question.ts1 * 1e-9 > tape.now_s + 1.0:
             return  # at time 0 the stub's answer to our own question reads like a question
-        now_s = asked_s
-        tape.note_tick(now_s, time.monotonic(), time.process_time())
-        if now_s >= watching_until_s:
+        tape.note_tick(question.ts1 * 1e-9, time.monotonic(), time.process_time())
+        if tape.now_s >= watching_until_s:
             watching_until_s = math.inf
             os.kill(os.getpid(), signal.SIGINT)
-        if strikes and now_s - tape.armed_at_s >= strikes[0][0]:
+        if strikes and tape.now_s - tape.armed_at_s >= strikes[0][0]:
             number = strikes.pop(0)[1]
             if number == signal.SIGINT:  # closer than this on our clock they are one wish
                 time.sleep(max(0.0, struck_s + 2.0 * Interrupts.ONE_WISH_S - time.monotonic()))
@@ -102,7 +103,7 @@ def watch_companion(tape: Tape, kill_at_s: float | None, interrupts_at_s: tuple[
     def watched_enter(flight: Any, phase: Phase) -> None:
         nonlocal watching_until_s
         if phase is Phase.WATCH:
-            watching_until_s = now_s + WATCH_ENOUGH_S
+            watching_until_s = tape.now_s + WATCH_ENOUGH_S
         enter(flight, phase)
 
     Link.answer_timesync = watched_answer  # type: ignore[method-assign, assignment]

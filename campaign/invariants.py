@@ -11,6 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from campaign.evidence import OUTCOMES, Evidence
+from campaign.faults import Fault
 from campaign.flying import rests
 from campaign.tape import POSITION, TICK_CPU, TICK_TIME, TICK_WALL, TIME, VELOCITY
 from campaign.wire import (
@@ -27,6 +28,7 @@ from campaign.wire import (
     is_ours,
     mode_of,
     setpoint_numbers,
+    text_of,
 )
 
 KEPT, NOT_JUDGED = "", "-"
@@ -45,10 +47,19 @@ LANDS_WITHIN_S = 85.0
 LONGEST_S = 150.0
 QUIET_RMS_M = {"mocap": 0.25, "perfect": 0.25}
 """What a flight to which nothing was done may be off while tracking, by estimator; GPS wanders by more than it tracks."""
-TRUTH_BENDING = ("motor_failure", "reboot", "pilot_disarm", "pilot_mode", "pilot_sticks")
+TRUTH_BENDING = ("motor_failure", "reboot", "pilot_disarm", "pilot_kill", "pilot_mode", "pilot_sticks")
+FALLING = ("motor_failure", "reboot", "pilot_disarm", "pilot_kill")
+LINK = ("link_loss", "link_delay", "link_jitter", "link_reorder", "link_corrupt", "link_truncate")
 CLOCKS = ("clock_jump", "clock_drift", "reboot")
 ESTIMATES = ("estimator_reset", "estimator_divergence", "estimator_invalid", "gps_loss")
-SAFE_HANDS = ("aborted", "interrupted", "handed back", "pilot took over", "link lost")
+ENDS_WITHIN_S = {
+    "battery_critical": 6.5,  # 5 s of `battery_remaining.land`, and SYS_STATUS once a second
+    "estimator_invalid": 1.6,  # 0.3 s, and the estimator's status once a second
+    "stream_stop": 1.0,  # 0.4 s of `position_age_s` or `attitude_age_s`
+    "gps_loss": 7.5,  # the estimator gives up after 5 s
+}
+"""Faults that may not be flown with, and how long after they began our control may last, s."""
+BATTERY_LAND = 0.12
 
 Invariant = Callable[[Evidence], str]
 
@@ -104,11 +115,11 @@ def truthful_end(e: Evidence) -> str:
 
 def safe_afterwards(e: Evidence) -> str:
     """With the companion gone or killed, the autopilot has landed the vehicle, or holds it still where that is its way."""
-    if not len(e.box) or e.planned.has("motor_failure", "estimator_divergence"):
+    if not len(e.box) or e.planned.has(*FALLING, "estimator_divergence"):
         return NOT_JUDGED
     last = e.box[-1]
     if not e.armed[-1]:
-        if e.height_m[-1] > 0.4 and not e.planned.has("pilot_disarm"):
+        if e.height_m[-1] > 0.4:
             return f"disarmed {e.height_m[-1]:.1f} m up"
         return KEPT
     if rests(last) and _may_hang(e):
@@ -303,7 +314,7 @@ def fence_in_truth(e: Evidence) -> str:
 
 def tilt(e: Evidence) -> str:
     """The true tilt in the air stays bounded."""
-    if not len(e.box) or e.planned.has(*TRUTH_BENDING, "estimator_divergence"):
+    if not len(e.box) or e.planned.has(*TRUTH_BENDING):
         return NOT_JUDGED
     flying = (e.height_m > 0.15) & (e.armed > 0)
     if e.killed and e.planned.level == "actuator":
@@ -328,10 +339,9 @@ def log_whole(e: Evidence) -> str:
         return f"the log lost records: {e.log_losses}"
     if not len(e.ticks):
         return KEPT
-    answered = [f.unpack("<qq")[1] * 1e-9 for f in e.wire.frames if f.outgoing and f.message_id == TIMESYNC]
-    answered = [time_s for time_s in answered if time_s > 0.0]
-    logged_s = answered[-1] if answered else -math.inf
-    later = e.ticks[e.ticks[:, TICK_TIME] > logged_s + 1e-9]
+    logged_s = next((f.unpack("<qq")[1] * 1e-9 for f in reversed(e.wire.frames) if _is_answer(f)), -math.inf)
+    same = np.flatnonzero(np.abs(e.ticks[:, TICK_TIME] - logged_s) < 1e-6)
+    later = e.ticks[same[-1] + 1 :] if len(same) else e.ticks
     if not len(later):
         return KEPT
     wall_s = float(e.ticks[-1, TICK_WALL] - later[0, TICK_WALL])
@@ -342,6 +352,10 @@ def log_whole(e: Evidence) -> str:
     if lost_s > LOST_LOG_S:
         return f"the log lost the last {wall_s:.2f} s ({cpu_s:.2f} s of processor time)"
     return KEPT
+
+
+def _is_answer(frame: Frame) -> bool:
+    return frame.outgoing and frame.message_id == TIMESYNC and frame.unpack("<q")[0] != 0
 
 
 def no_traceback(e: Evidence) -> str:
@@ -384,6 +398,42 @@ def _height(e: Evidence) -> str:
     return f"{e.height_m[e.at(e.companion_ended_s)]:.1f}"
 
 
+def serious_fault(e: Evidence) -> str:
+    """A fault that may not be flown with ends our control in its time, counted from when the stub told of it."""
+    if e.killed or e.log_trouble or e.planned.has(*LINK, *CLOCKS):
+        return NOT_JUDGED
+    judged = NOT_JUDGED
+    for fault in e.planned.faults:
+        limit_s = ENDS_WITHIN_S.get(fault.kind)
+        lasts_s = math.inf if fault.for_s is None else fault.for_s
+        if limit_s is None or lasts_s < limit_s or not _is_serious(fault):
+            continue
+        began_s = next((f.time_s for f in e.wire.frames if text_of(f) == f"fault: {fault.kind} on"), math.inf)
+        late = [frame for frame in e.setpoints if frame.time_s > began_s + limit_s]
+        if late and not _landing_by(e, began_s + limit_s):
+            return f"{fault.kind} since {began_s:.2f} s, and setpoints until {late[-1].time_s:.2f} s"
+        judged = KEPT
+    return judged
+
+
+def _is_serious(fault: Fault) -> bool:
+    if fault.kind == "battery_critical":
+        remaining = fault.value("remaining")
+        return isinstance(remaining, float) and remaining < BATTERY_LAND - 0.01
+    if fault.kind == "stream_stop":
+        messages = fault.value("messages")
+        return isinstance(messages, tuple) and "LOCAL_POSITION_NED" in messages
+    return True
+
+
+def _landing_by(e: Evidence, time_s: float) -> bool:
+    """Whether LAND or another mode had been asked for by then: setpoints go on until it is there."""
+    return any(
+        f.outgoing and f.message_id == COMMAND_LONG and _leaves(e, f) and f.time_s <= time_s
+        for f in e.wire.frames
+    )
+
+
 def heard_pilot(e: Evidence) -> str:
     """A flight that a pilot took in the air ends as his: it does not go on, and claims nothing else."""
     if e.killed or not e.planned.has("pilot_mode", "pilot_disarm") or e.log_trouble:
@@ -401,6 +451,7 @@ INVARIANTS: dict[str, Invariant] = {
     "setpoints after takeover": setpoints_after_takeover,
     "never taken back": never_taken_back,
     "pilot heard": heard_pilot,
+    "serious fault ends it": serious_fault,
     "fence as seen": fence_as_seen,
     "fence in truth": fence_in_truth,
     "tilt bounded": tilt,

@@ -13,7 +13,7 @@ from pathlib import Path
 import zstandard
 
 HEARTBEAT, LOCAL_POSITION_NED, RC_CHANNELS, COMMAND_LONG, SET_ATTITUDE_TARGET = 0, 32, 65, 76, 82
-TIMESYNC, SET_ACTUATOR_CONTROL_TARGET, CURRENT_MODE = 111, 139, 436
+TIMESYNC, SET_ACTUATOR_CONTROL_TARGET, STATUSTEXT, CURRENT_MODE = 111, 139, 253, 436
 SETPOINTS = (SET_ATTITUDE_TARGET, SET_ACTUATOR_CONTROL_TARGET)
 DO_SET_MODE, ARM_DISARM = 176, 400
 ARMED_FLAG = 128
@@ -153,6 +153,13 @@ def armed_of(frame: Frame) -> bool | None:
         return None
     _, _, autopilot, base = frame.unpack("<IBBB")
     return bool(int(base) & ARMED_FLAG) if autopilot in (PX4, ARDUPILOT) else None
+
+
+def text_of(frame: Frame) -> str:
+    """What a STATUSTEXT says; empty for other frames."""
+    if frame.message_id != STATUSTEXT:
+        return ""
+    return frame.payload[1:51].split(b"\0")[0].decode("utf-8", "replace")
 
 
 def setpoint_numbers(frame: Frame) -> tuple[float, ...]:

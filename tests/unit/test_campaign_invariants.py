@@ -17,8 +17,10 @@ from campaign_evidence import (
     box,
     command,
     flight_frames,
+    frame,
     good,
     heartbeat,
+    mav,
     position,
     setpoint,
     sticks,
@@ -41,7 +43,10 @@ def said(name: str, evidence: Evidence) -> str:
 def test_a_good_flight_keeps_everything() -> None:
     words = judge(good())
     assert {name: word for name, word in words.items() if word not in (KEPT, NOT_JUDGED)} == {}
-    assert {name for name, word in words.items() if word == NOT_JUDGED} == {"pilot heard"}
+    assert {name for name, word in words.items() if word == NOT_JUDGED} == {
+        "pilot heard",
+        "serious fault ends it",
+    }
 
 
 def test_a_judge_that_stumbles_is_a_finding() -> None:
@@ -97,6 +102,30 @@ def test_a_flight_that_goes_on_after_the_pilot_took_it_is_noticed() -> None:
     frames[100:100] = [heartbeat(10.0, LAND, True)]
     assert "pilot" in said("pilot heard", good(planned=plan, frames=frames))
     assert said("pilot heard", good(planned=plan)) == KEPT
+
+
+def announced(time_s: float, text: str) -> object:
+    return frame(mav.MAVLink_statustext_message(5, text.encode()), time_s)
+
+
+def test_a_fault_that_must_not_be_flown_with_ends_the_flight_in_time() -> None:
+    plan = replace(PLAN, faults=(Fault("estimator_invalid", "airborne", 5.0, None),))
+    frames = flight_frames()
+    frames[200:200] = [announced(13.0, "fault: estimator_invalid on")]
+    assert "since 13.00 s" in said("serious fault ends it", good(planned=plan, frames=frames))
+    frames[240:] = [command(14.0, 176, 1, 4, 6), setpoint(14.0)]
+    assert said("serious fault ends it", good(planned=plan, frames=frames)) == KEPT
+    short = replace(PLAN, faults=(Fault("estimator_invalid", "airborne", 5.0, 0.5),))
+    assert said("serious fault ends it", good(planned=short)) == NOT_JUDGED
+
+
+@pytest.mark.parametrize(("remaining", "word"), [(0.05, "battery_critical since"), (0.2, NOT_JUDGED)])
+def test_an_empty_battery_ends_a_flight_and_half_an_empty_one_does_not(remaining: float, word: str) -> None:
+    plan = replace(
+        PLAN, faults=(Fault("battery_critical", "airborne", 1.0, None, (("remaining", remaining),)),)
+    )
+    frames = [announced(5.0, "fault: battery_critical on"), *flight_frames()]
+    assert word in said("serious fault ends it", good(planned=plan, frames=frames))
 
 
 def outside(until_s: float) -> Evidence:
