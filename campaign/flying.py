@@ -38,6 +38,8 @@ AFTERWARDS_S = 90.0
 """Simulated time that an autopilot has to bring down what was left in the air."""
 HANDED_BACK_S = 6.0
 """Simulated time that a vehicle handed back is looked at."""
+LOOKING_ON_S = 180.0
+"""Our time for that."""
 _STARTING_S = 60.0
 
 
@@ -115,6 +117,7 @@ def fly(planned: PlannedFlight, folder: Path, plant: Callable[[], None] | None =
             ended_s = tape.now_s
         finally:
             companion.end(0.0)
+            tape.companion_gone = True
         _look_on(stub, tape, ended_s)
     finally:
         stub.end()
@@ -171,7 +174,7 @@ def _endpoint(stub: Child, folder: Path) -> str:
 
 def _look_on(stub: Child, tape: Tape, ended_s: float) -> None:
     """Let the stub fly on without its companion until the vehicle is down, rests in the air, or time is up."""
-    deadline = time.monotonic() + 3.0 * AFTERWARDS_S / FREE_SPEED + 20.0
+    deadline = time.monotonic() + LOOKING_ON_S
     while stub.poll() is None and time.monotonic() < deadline:
         box = tape.box
         if not len(box) or not box[-1, ARMED] or box[-1, TIME] - ended_s > AFTERWARDS_S:

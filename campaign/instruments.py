@@ -30,6 +30,8 @@ def watch_stub(tape: Tape) -> None:
     """In the stub's process: let every autopilot that is served write the black box."""
     import sitl_stub.server as served
 
+    plain_gone = served.Server._gone
+
     class WatchedServer(served.Server):
         def run(self, autopilot: Any) -> None:
             step = autopilot.step
@@ -52,6 +54,10 @@ def watch_stub(tape: Tape) -> None:
 
             autopilot.step = watched_step
             super().run(autopilot)
+
+        @staticmethod
+        def _gone(link: Any) -> bool:
+            return tape.companion_gone or plain_gone(link)
 
     served.BARRIER_PATIENCE_S = LOCKSTEP_PATIENCE_S
     served.Server = WatchedServer  # type: ignore[misc]

@@ -61,6 +61,15 @@ class Tape:
             self._head[1] = count + 1
 
     @property
+    def companion_gone(self) -> bool:
+        """Whether the companion's process has ended; written by who started it."""
+        return bool(self._head[3])
+
+    @companion_gone.setter
+    def companion_gone(self, gone: bool) -> None:
+        self._head[3] = float(gone)
+
+    @property
     def armed_at_s(self) -> float:
         """When the vehicle was first armed, s of simulated time; NaN before."""
         return float(self._head[2])
