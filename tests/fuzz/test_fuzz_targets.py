@@ -1,4 +1,4 @@
-"""Every fuzz target on its seeds, on inputs that once broke something, and on a few seeded mutations (scripts/fuzz does more)."""
+"""Every fuzz target on its seeds, on inputs that once broke something, and on a few seeded mutations."""
 
 from __future__ import annotations
 
