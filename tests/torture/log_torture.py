@@ -30,10 +30,8 @@ from typing import Any
 
 import numpy as np
 
-HERE = Path(__file__).parent
-PROJECT = HERE.parent.parent
-sys.path.insert(0, str(PROJECT / "tests" / "flight"))
-sys.path.insert(0, str(PROJECT))
+sys.path.insert(0, str(Path(__file__).parents[1] / "flight"))
+sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from mcap.reader import make_reader
 
@@ -44,7 +42,7 @@ from companion.flightlog.reader import _HEAD, MAGIC, _RawReader, read_log
 from companion.flightlog.recovery import recover
 from companion.flightlog.writer import FlightLog
 
-CHILD = PROJECT / "tests" / "unit" / "logging_child.py"
+CHILD = Path(__file__).parents[1] / "unit" / "logging_child.py"
 PROMISED_LOSS_S = 0.2
 LONGEST_HAND_OVER_MS = 50.0  # a tenth of the slow disk's fsync: who waited for it would need 500
 NOBODY = 65534
