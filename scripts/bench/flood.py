@@ -23,7 +23,8 @@ import numpy as np
 
 TURN_S = 2.0
 SETTLING_S = 0.2  # after each change
-BATCH_S = 0.004
+PAUSE_S = 0.002
+LONGEST_BATCH_S = 0.02  # what is not sent for longer is not made up for
 
 
 def flood(port: int, rate: float) -> None:
@@ -38,22 +39,24 @@ def flood(port: int, rate: float) -> None:
     wire.connect(("127.0.0.1", port))
     orders = sys.stdin.buffer
     os.set_blocking(orders.fileno(), False)
-    on, sent, spent, batch = False, 0, 0.0, round(rate * BATCH_S)
+    on, sent, spent, since, due = False, 0, 0.0, 0.0, 0
     while True:
         order = orders.read(64)
         if order == b"":
             break
-        on = order[-1:] == b"1" if order else on
-        began = time.perf_counter()
+        if order:
+            on, since, due = order[-1:] == b"1", time.perf_counter(), 0
         if on:
+            now = time.perf_counter()
+            batch = min(round(rate * (now - since)) - due, round(rate * LONGEST_BATCH_S))
             for _ in range(batch):
                 try:
                     wire.send(frame)
                 except OSError:
                     continue
-            sent += batch
-        time.sleep(max(0.0, BATCH_S - (time.perf_counter() - began)))
-        spent += time.perf_counter() - began if on else 0.0
+            sent, due = sent + batch, due + batch
+        time.sleep(PAUSE_S)
+        spent += time.perf_counter() - now if on else 0.0
     print(json.dumps({"sent": sent, "rate_hz": sent / spent if spent else 0.0}))
 
 

@@ -109,7 +109,8 @@ def _compiled_modules(packages: tuple[str, ...]) -> list[str]:
     """Modules with functions for numba, which cannot compile instrumented ones."""
     found = []
     for package in packages:
-        for source in (PROJECT / package.split(".")[0]).rglob("*.py"):
+        place = PROJECT.joinpath(*package.split("."))
+        for source in place.rglob("*.py"):
             if re.search(r"^@compiled", source.read_text(), re.MULTILINE):
                 found.append(".".join(source.relative_to(PROJECT).with_suffix("").parts))
     return sorted(set(found))
