@@ -322,11 +322,9 @@ def main() -> int:
         for part in options.only or PARTS:
             say(f"== {part}")
             results[part] = work[part]()
-            if not options.json:
-                shown = json.dumps(
-                    {k: v for k, v in results[part].items() if k != "kept"}, ensure_ascii=False
-                )
-                print(f"{part:10} {'kept' if results[part]['kept'] else 'NOT KEPT'}  {shown}")
+            shown = json.dumps({k: v for k, v in results[part].items() if k != "kept"}, ensure_ascii=False)
+            line = f"{part:10} {'kept' if results[part]['kept'] else 'NOT KEPT'}  {shown}"
+            print(line, file=sys.stderr if options.json else sys.stdout, flush=True)
     if options.json:
         print(json.dumps(results, indent=2, ensure_ascii=False))
     return 0 if all(result["kept"] for result in results.values()) else 1
