@@ -70,7 +70,7 @@ TARGETS = {
     ),
     "trajectories": Target("file_targets", "trajectories", "trajectory_seeds", (), ("companion.reference",)),
     "logs": Target(
-        "file_targets", "logs", "log_seeds", (), ("companion.flightlog", "companion.analysis", "mcap")
+        "file_targets", "logs", "log_seeds", (), ("companion.flightlog", "mcap")
     ),
 }
 

@@ -129,9 +129,10 @@ def _stubs_end(stub: Stub, log: Path) -> list[str]:
     except subprocess.TimeoutExpired:
         if armed:
             wrong.append(f"still armed {LONGEST_DESCENT_S:.0f} s later")
-        stub.stop()
-        if stub.summary is None:
-            wrong.append("the stub did not end in words")
+        assert stub.process is not None
+        stub.process.terminate()
+        if stub.wait(60.0) != 0 or stub.summary is None:
+            wrong.append("the stub did not end in words when asked to")
     return wrong
 
 
