@@ -59,6 +59,7 @@ def test_nothing_is_believed_before_an_autopilot_heartbeat(wire):
     [
         (255, 190, GROUND_STATION),
         (1, 1, GROUND_STATION),  # a ground station that took an autopilot's numbers
+        (0, 1, heartbeat()),  # 0 means everybody
         (1, 154, heartbeat(mav.MAV_AUTOPILOT_PX4, mav.MAV_TYPE_GIMBAL)),
         (1, 191, heartbeat(mav.MAV_AUTOPILOT_INVALID, mav.MAV_TYPE_ONBOARD_CONTROLLER)),
     ],
