@@ -69,9 +69,7 @@ TARGETS = {
         "file_targets", "configuration", "configuration_seeds", (), ("companion.config",)
     ),
     "trajectories": Target("file_targets", "trajectories", "trajectory_seeds", (), ("companion.reference",)),
-    "logs": Target(
-        "file_targets", "logs", "log_seeds", (), ("companion.flightlog", "mcap")
-    ),
+    "logs": Target("file_targets", "logs", "log_seeds", (), ("companion.flightlog", "mcap")),
 }
 
 
