@@ -1,7 +1,8 @@
 """What faults do to frames on their way: a pipeline of active faults and a queue of frames that are late.
 
 A frame is the unit, whatever carries it. In lockstep the TIMESYNC questions and answers that simulated time waits for go
-past all this: they are no part of the link. Frames keep their order, except those that a fault holds back.
+past all this: they are no part of the link. Frames keep their order, except those that a fault holds back. When the last
+fault of the link ends, everything that is late arrives at once.
 """
 
 from __future__ import annotations
@@ -85,7 +86,21 @@ class FrameFaults:
         """Let `fault` act on every frame from now on; returns what ends it."""
         active = _Active(fault, random_for)
         self._active.append(active)
-        return lambda: self._active.remove(active)
+
+        def end() -> None:
+            self._active.remove(active)
+            if not self._active:
+                self._release()
+
+        return end
+
+    def _release(self) -> None:
+        """The link is well again: what is still on its way arrives now, in its order."""
+        now = self.autopilot.time_us
+        waiting = sorted(self._queue, key=lambda item: item[:2])
+        self._queue = [(now, order, *item[2:]) for order, item in enumerate(waiting)]
+        self._order = len(waiting)
+        self._last_due_us.clear()
 
     def mute(self, messages: Sequence[str]) -> Callable[[], None]:
         """Let the autopilot stop sending messages of these names, to every client; returns what ends it."""
