@@ -13,7 +13,7 @@ from test_stub_process import LockstepClient, _take_off_script
 from sitl_stub import Stub, StubError
 from sitl_stub.cli import main
 from sitl_stub.faults.fault import FaultError
-from sitl_stub.faults.registry import KINDS
+from sitl_stub.faults.registry import KINDS, markdown_table
 from sitl_stub.faults.scenario import entry_from, read_scenario
 
 WRONG = """
@@ -98,6 +98,19 @@ def test_every_kind_is_had_with_its_defaults_and_listed(capsys: pytest.CaptureFi
         assert entry_from({"kind": name}).fault == kind()
         assert f"{name}: {kind.summary()}" in listed
         assert all(f"    {parameter} = " in listed for parameter in kind.parameters())
+
+
+def test_the_page_has_the_table_of_the_registry() -> None:
+    page = Path(__file__).resolve().parents[2] / "docs" / "faults.md"
+    assert markdown_table() in page.read_text()
+
+
+def test_the_scenario_of_the_page_is_one(tmp_path: Path) -> None:
+    page = Path(__file__).resolve().parents[2] / "docs" / "faults.md"
+    file = tmp_path / "faults.toml"
+    file.write_text(page.read_text().partition("```toml\n")[2].partition("```")[0])
+    kinds = [entry.fault.kind for entry in read_scenario(file).entries]
+    assert kinds == ["link_delay", "gust"]
 
 
 def test_times_count_from_what_they_come_after() -> None:
