@@ -60,7 +60,7 @@ class FaultDirector:
         return planned.begins_us
 
     def clear(self) -> None:
-        """End every fault that runs and forget those to come; frames that are late still arrive."""
+        """End every fault that runs and forget those to come; frames that are late arrive at once."""
         self._waiting.clear()
         running, self._running = self._running, []
         for planned in running:
@@ -141,7 +141,8 @@ class FaultDirector:
     def _end(self, planned: _Planned) -> int:
         assert planned.effect is not None
         planned.effect.close()
-        return self._tell(f"fault: {planned.entry.fault.kind} off")
+        sent = self.frames.deliver_due(self.autopilot.time_us)
+        return sent + self._tell(f"fault: {planned.entry.fault.kind} off")
 
     def _tell(self, text: str) -> int:
         """STATUSTEXT to every client at once: before a fault of the link begins, and after it has ended."""

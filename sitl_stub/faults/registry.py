@@ -57,6 +57,22 @@ def described() -> str:
     return "\n".join(lines)
 
 
+def markdown_table() -> str:
+    """The same as the table of docs/faults.md."""
+    lines = ["| kind | what happens | parameters (default; range) |", "|---|---|---|"]
+    for name, kind in KINDS.items():
+        parameters = []
+        for parameter, facts in kind.parameters().items():
+            default = toml_value(kind.defaults()[parameter])
+            unit = f" {facts.unit}" if facts.unit else ""
+            bounds = f"; {facts.least:g} to {facts.most:g}" if facts.kind in (int, float) else ""
+            parameters.append(f"`{parameter}` ({default}{unit}{bounds}) {facts.meaning}")
+        timing = "; momentary" if kind.momentary else ""
+        told = "<br>".join(parameters) or "none"
+        lines.append(f"| `{name}` | {kind.summary().rstrip('.')}{timing} | {told} |")
+    return "\n".join(lines)
+
+
 def _range(facts: Parameter) -> str:
     if facts.kind in (int, float):
         return f" {facts.unit}".rstrip() + f" ({facts.least:g} to {facts.most:g})"

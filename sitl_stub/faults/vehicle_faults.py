@@ -10,7 +10,6 @@ import numpy as np
 
 from sitl_stub.faults.fault import Effect, Fault, Site, hold, number, switch, whole
 from sitl_stub.physics import vehicle as body
-from sitl_stub.physics.wind import STEADY
 
 if TYPE_CHECKING:
     from sitl_stub.physics.vehicle import VehicleParameters
@@ -112,6 +111,10 @@ class Gust(Fault):
 
     def act(self, site: Site) -> Effect:
         """Blow."""
+        from sitl_stub.physics.wind import (
+            STEADY,  # here, for it loads numba: the ready line does not wait for that
+        )
+
         wind = site.autopilot.core.wind.wind[STEADY : STEADY + 3]
         full = np.array([self.north_m_s, self.east_m_s, self.down_m_s])
         given = np.zeros(3)

@@ -93,8 +93,9 @@ def test_delay_is_that_long_both_ways_and_keeps_the_order_when_it_ends() -> None
     assert client.autopilot.time_us - sent_us == 412_000
     around_the_end = times_of(client, 1.0)
     own_times = [own for _, own in around_the_end]
-    assert own_times == sorted(own_times)
-    assert around_the_end[-1][0] - around_the_end[-1][1] < 0.001
+    assert own_times == sorted(own_times) and len(own_times) > 110
+    after = [now - own for now, own in around_the_end if now > 2.5]
+    assert len(after) > 50 and max(after) < 0.001
 
 
 def test_jitter_varies_the_lateness_within_its_bound_in_order() -> None:

@@ -13,7 +13,7 @@ from test_stub_process import LockstepClient, _take_off_script
 from sitl_stub import Stub, StubError
 from sitl_stub.cli import main
 from sitl_stub.faults.fault import FaultError
-from sitl_stub.faults.registry import KINDS
+from sitl_stub.faults.registry import KINDS, markdown_table
 from sitl_stub.faults.scenario import entry_from, read_scenario
 
 WRONG = """
@@ -98,6 +98,25 @@ def test_every_kind_is_had_with_its_defaults_and_listed(capsys: pytest.CaptureFi
         assert entry_from({"kind": name}).fault == kind()
         assert f"{name}: {kind.summary()}" in listed
         assert all(f"    {parameter} = " in listed for parameter in kind.parameters())
+
+
+def test_scenarios_are_read_before_numba_is_loaded() -> None:
+    """The stub's ready line comes first."""
+    code = "import sys, sitl_stub.faults.scenario, sitl_stub.faults.control; sys.exit('numba' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0
+
+
+def test_the_page_has_the_table_of_the_registry() -> None:
+    page = Path(__file__).resolve().parents[2] / "docs" / "faults.md"
+    assert markdown_table() in page.read_text()
+
+
+def test_the_scenario_of_the_page_is_one(tmp_path: Path) -> None:
+    page = Path(__file__).resolve().parents[2] / "docs" / "faults.md"
+    file = tmp_path / "faults.toml"
+    file.write_text(page.read_text().partition("```toml\n")[2].partition("```")[0])
+    kinds = [entry.fault.kind for entry in read_scenario(file).entries]
+    assert kinds == ["link_delay", "gust"]
 
 
 def test_times_count_from_what_they_come_after() -> None:
@@ -198,6 +217,23 @@ def test_faults_injected_in_lockstep_begin_at_the_same_instant() -> None:
     begun = digests[0][0]
     assert begun[1:] == [2.0, None]
     assert begun[0] is not None and 1.0 < begun[0] < 1.02
+
+
+def test_late_frames_in_lockstep_keep_their_numbers_whole(tmp_path: Path) -> None:
+    """The questions of lockstep overtake what is late: a client must not take that for lost frames."""
+    file = tmp_path / "late.toml"
+    kinds = ("link_delay", "link_jitter")
+    file.write_text("".join(f'[[fault]]\nkind = "{kind}"\nat_s = 0.5\nfor_s = 1.0\n' for kind in kinds))
+    with Stub(lockstep=True, scenario=file) as stub:
+        client = LockstepClient(stub)
+        numbers: list[int] = []
+        client.run(0.4)
+        before = client.connection.mav_loss  # of probes before it had its socket open
+        client.run(2.5, lambda mav, message: numbers.append(message.get_seq()))
+        lost = client.connection.mav_loss - before
+        client.close()
+    assert len(numbers) > 500
+    assert lost == 0
 
 
 def test_wrong_injections_are_value_errors_and_the_stub_lives_on() -> None:
