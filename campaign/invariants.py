@@ -51,6 +51,8 @@ TRUTH_BENDING = ("motor_failure", "reboot", "pilot_disarm", "pilot_kill", "pilot
 FALLING = ("motor_failure", "reboot", "pilot_disarm", "pilot_kill")
 LINK = ("link_loss", "link_delay", "link_jitter", "link_reorder", "link_corrupt", "link_truncate")
 CLOCKS = ("clock_jump", "clock_drift", "reboot")
+MOVED_FRAMES = ("estimator_reset", "estimator_divergence", "gps_loss")
+"""The local frame is reset, at once or when the fault ends, and the companion moves its fence along with it."""
 ESTIMATES = ("estimator_reset", "estimator_divergence", "estimator_invalid", "gps_loss")
 ENDS_WITHIN_S = {
     "battery_critical": 6.5,  # 5 s of `battery_remaining.land`, and SYS_STATUS once a second
@@ -253,7 +255,7 @@ def numbers(e: Evidence) -> str:
 
 def fence_as_seen(e: Evidence) -> str:
     """By the positions that the companion was told: outside the fence our control ends within FENCE_REACTION_S."""
-    if e.log_trouble or not e.setpoints or e.planned.has("estimator_reset", *CLOCKS):
+    if e.log_trouble or not e.setpoints or e.planned.has(*MOVED_FRAMES, *CLOCKS):
         return NOT_JUDGED
     home: tuple[float, ...] | None = None
     armed = False
@@ -316,6 +318,8 @@ def tilt(e: Evidence) -> str:
     """The true tilt in the air stays bounded."""
     if not len(e.box) or e.planned.has(*TRUTH_BENDING):
         return NOT_JUDGED
+    if e.planned.level == "actuator" and e.planned.has(*LINK, *CLOCKS, "stream_stop"):
+        return NOT_JUDGED  # with torques for setpoints a gap of half a second tips any vehicle over
     flying = (e.height_m > 0.15) & (e.armed > 0)
     if e.killed and e.planned.level == "actuator":
         flying &= e.box[:, TIME] <= e.companion_ended_s  # nobody stabilises until the autopilot notices

@@ -330,7 +330,7 @@ class Flight:
             vehicle.until(external, self._settings.procedure.pilot_timeout_s, "the pilot's mode switch")
         else:
             for _ in range(3):
-                result = vehicle.command(vehicle.adapter.mode(Intent.EXTERNAL))
+                result = vehicle.command(vehicle.adapter.mode(Intent.EXTERNAL), enough=external)
                 try:
                     vehicle.until(external, 2.5)
                     break
@@ -356,7 +356,7 @@ class Flight:
         result: int | None = None
         for _ in range(10):
             if not vehicle.status.armed:
-                result = vehicle.command(ARM)
+                result = vehicle.command(ARM, enough=lambda: vehicle.status.armed)
             try:
                 vehicle.until(lambda: vehicle.status.armed, 1.5)
                 self._armed_by_now = True
@@ -394,7 +394,7 @@ class Flight:
         self._engaged = False
         result: int | None = None
         for _ in range(3):
-            result = vehicle.command(vehicle.adapter.mode(Intent.LAND))
+            result = vehicle.command(vehicle.adapter.mode(Intent.LAND), enough=self._not_ours)
             try:
                 vehicle.until(self._not_ours, 2.5)
                 break

@@ -182,12 +182,15 @@ class Vehicle:
             )
         return f"no autopilot within {timeout_s:.0f} s; {heard}"
 
-    def command(self, command: Command) -> int | None:
-        """Send a command until it is answered; return the MAV_RESULT, None when nobody answers."""
+    def command(self, command: Command, enough: Callable[[], bool] = lambda: False) -> int | None:
+        """Send a command until it is answered; return the MAV_RESULT, None when nobody answers.
+
+        Where `enough()` holds, what the command is for has come about: no answer is waited for, and it is not sent again.
+        """
         for attempt in range(TRIES):
             self.commands.send(command, again=attempt > 0)
             try:
-                self.until(lambda: self.commands.result is not None, ACK_TIMEOUT_S)
+                self.until(lambda: self.commands.result is not None or enough(), ACK_TIMEOUT_S)
             except WaitedTooLong:
                 continue
             return self.commands.result

@@ -140,6 +140,16 @@ def test_land_is_asked_for_within_a_state_and_taken_within_a_tenth_of_a_second(s
     assert began - times[-1] < 0.021  # the last one belongs to the state before
 
 
+def test_landing_without_an_answer_to_the_command_stops_the_setpoints_too(tmp_path):
+    """Found by the campaign (ardupilot 2): 77 setpoints after the mode was LAND, while the lost COMMAND_ACK was waited for."""
+    scenario = tmp_path / "silent.toml"
+    scenario.write_text('[[fault]]\nkind = "ack_loss"\nafter = "airborne"\nat_s = 1.0\n')
+    with lockstep_stub("--scenario", str(scenario)) as stub:
+        flown = fly_short(stub, tmp_path, trajectory="hover")
+    assert flown.result.outcome is Outcome.COMPLETED
+    assert flown.setpoints_after("mode", mode="AUTO.LAND") <= 1
+
+
 def test_each_reaction_is_logged_once_with_its_numbers(stub, tmp_path):
     flown = fly_short(stub, tmp_path, settings=[f"{OFF}.warn=[{ALWAYS}, 0.0]"])
     assert flown.result.outcome is Outcome.COMPLETED
