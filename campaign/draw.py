@@ -44,6 +44,8 @@ class Variation:
     inertia: float = 1.0
     thrust: float = 1.0
     rotor_lag: float = 1.0
+    drag_kg_s: float = 0.0
+    """Added along each axis: the report's vehicle has next to none, and no wind would move it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +105,7 @@ class PlannedFlight:
         by = self.variation
         table["mass_kg"] *= by.mass
         table["rotor_lag_rad_s"] *= by.rotor_lag
+        table["linear_drag_kg_s"] = [value + by.drag_kg_s for value in table["linear_drag_kg_s"]]
         table["inertia_kg_m2"] = [value * by.inertia for value in table["inertia_kg_m2"]]
         table["max_thrust_newton"] = [value * by.thrust for value in table["max_thrust_newton"]]
         return "".join(f"{key} = {_toml(value)}\n" for key, value in table.items())
@@ -158,6 +161,7 @@ def planned(firmware: str, seed: int) -> PlannedFlight:
             inertia=round(draw.uniform(0.85, 1.2), 3),
             thrust=round(draw.uniform(0.85, 1.15), 3),
             rotor_lag=round(draw.uniform(0.8, 1.25), 3),
+            drag_kg_s=round(draw.uniform(0.02, 0.12), 3) if vehicle == "qball2" else 0.0,
         ),
         wind_m_s=round(draw.uniform(0.0, 4.0), 2) if draw.random() < 0.6 else 0.0,
         gust_m_s=round(draw.uniform(0.0, 2.0), 2) if draw.random() < 0.5 else 0.0,

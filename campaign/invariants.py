@@ -318,8 +318,8 @@ def tilt(e: Evidence) -> str:
     """The true tilt in the air stays bounded."""
     if not len(e.box) or e.planned.has(*TRUTH_BENDING):
         return NOT_JUDGED
-    if e.planned.level == "actuator" and e.planned.has(*LINK, *CLOCKS, "stream_stop"):
-        return NOT_JUDGED  # with torques for setpoints a gap of half a second tips any vehicle over
+    if e.planned.level != "attitude" and e.planned.has(*LINK, *CLOCKS, "stream_stop"):
+        return NOT_JUDGED  # with rates or torques for setpoints half a second late or missing tips any vehicle over
     flying = (e.height_m > 0.15) & (e.armed > 0)
     if e.killed and e.planned.level == "actuator":
         flying &= e.box[:, TIME] <= e.companion_ended_s  # nobody stabilises until the autopilot notices

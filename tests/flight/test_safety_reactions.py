@@ -141,7 +141,7 @@ def test_land_is_asked_for_within_a_state_and_taken_within_a_tenth_of_a_second(s
 
 
 def test_landing_without_an_answer_to_the_command_stops_the_setpoints_too(tmp_path):
-    """Found by the campaign (ardupilot 2): 77 setpoints after the mode was LAND, while the lost COMMAND_ACK was waited for."""
+    """Found by the campaign: 77 setpoints after the mode was LAND, while a lost COMMAND_ACK was waited for."""
     scenario = tmp_path / "silent.toml"
     scenario.write_text('[[fault]]\nkind = "ack_loss"\nafter = "airborne"\nat_s = 1.0\n')
     with lockstep_stub("--scenario", str(scenario)) as stub:
