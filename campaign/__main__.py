@@ -172,7 +172,7 @@ def _many(options: argparse.Namespace, firmwares: Sequence[str]) -> int:
     with _interruptible() as came:
         _fly_all(flights, tally, options.jobs or default_size(), out, plant, came)
     if options.write is not None:
-        put_between_markers(Path(options.write), tally.page(_repeat(options)))
+        put_between_markers(Path(options.write), "campaign", tally.page(_repeat(options)))
     if options.json:
         print(json.dumps(as_json(tally), indent=1, ensure_ascii=False))
     else:
@@ -257,7 +257,22 @@ def _planted(options: argparse.Namespace, firmwares: Sequence[str]) -> int:
         shutil.rmtree(scratch, ignore_errors=True)
     if options.json:
         print(json.dumps(found, indent=1, ensure_ascii=False))
+    if options.write is not None:
+        put_between_markers(Path(options.write), "planted defects", _hunts_table(found))
     return 0 if all(one["caught_by"] for one in found) else 1
+
+
+def _hunts_table(found: Sequence[dict[str, Any]]) -> str:
+    """Markdown."""
+    lines = ["| defect | firmware | caught by | in flight | what was said |", "|---|---|---|---:|---|"]
+    for one in found:
+        what = f"`{one['defect']}`: {DEFECTS[one['defect']].summary}"
+        said = one["word"].replace("|", "/")
+        caught = one["caught_by"] or "**not caught**"
+        lines.append(
+            f"| {what} | {one['firmware']} | {caught} | {one['flights']} (seed {one['seed']}) | {said} |"
+        )
+    return "\n".join(lines) + "\n"
 
 
 def _hunt(name: str, firmware: str, first_seed: int, scratch: Path) -> dict[str, Any]:

@@ -120,6 +120,8 @@ def safe_afterwards(e: Evidence) -> str:
     if not len(e.box) or e.planned.has(*FALLING, "estimator_divergence"):
         return NOT_JUDGED
     last = e.box[-1]
+    if e.tilt_deg[-1] > TILT_BOUND_DEG:
+        return NOT_JUDGED  # it lies on its back: `tilt` judges whether it might
     if not e.armed[-1]:
         if e.height_m[-1] > 0.4:
             return f"disarmed {e.height_m[-1]:.1f} m up"

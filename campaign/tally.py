@@ -11,7 +11,11 @@ from typing import Any
 from campaign.invariants import INVARIANTS
 from campaign.result import Result
 
-BEGIN, END = "<!-- campaign: made by scripts/campaign --write -->", "<!-- end of campaign -->"
+BLOCKS = {
+    "campaign": "<!-- campaign: made by scripts/campaign --write -->",
+    "planted defects": "<!-- planted defects: made by scripts/campaign --planted --write -->",
+}
+"""What the command writes into a page, and the line it comes after; `<!-- end of NAME -->` ends it."""
 COLUMNS = ("completed", "landed early", "handed back", "pilot's", "link lost", "refused", "killed")
 _IN_COLUMN = {
     "aborted": "landed early",
@@ -92,14 +96,15 @@ def as_json(tally: Tally) -> dict[str, Any]:
     }
 
 
-def put_between_markers(page: Path, text: str) -> None:
-    """Replace what stands between the markers. Raises ValueError when the page has none."""
+def put_between_markers(page: Path, name: str, text: str) -> None:
+    """Replace a block of a page. Raises ValueError when the page has none of that name."""
+    begin, end = BLOCKS[name], f"<!-- end of {name} -->"
     content = page.read_text(encoding="utf-8")
-    before, begin, rest = content.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not begin or not end:
-        raise ValueError(f"{page} has no lines {BEGIN!r} and {END!r} to write between")
-    page.write_text(f"{before}{BEGIN}\n\n{text}\n{END}{after}", encoding="utf-8")
+    before, found, rest = content.partition(begin)
+    _, found_end, after = rest.partition(end)
+    if not found or not found_end:
+        raise ValueError(f"{page} has no lines {begin!r} and {end!r} to write between")
+    page.write_text(f"{before}{begin}\n\n{text}\n{end}{after}", encoding="utf-8")
 
 
 def read_results(path: Path) -> list[Result]:

@@ -15,7 +15,7 @@ from campaign.draw import FIRMWARES, planned
 from campaign.faults import KINDS, scenario
 from campaign.planted import DEFECTS, candidates
 from campaign.result import Result
-from campaign.tally import BEGIN, END, Tally, put_between_markers, read_results
+from campaign.tally import BLOCKS, Tally, put_between_markers, read_results
 from campaign.tape import BOX_WIDTH, Tape
 from campaign.wire import armed_of, command_of, is_ours, mode_of, read_wire, setpoint_numbers
 from companion.flightlog.writer import FlightLog
@@ -113,8 +113,8 @@ def test_results_are_read_back_and_written_into_a_page(tmp_path: Path) -> None:
     file, page = tmp_path / "results.jsonl", tmp_path / "page.md"
     file.write_text(RESULT.to_line() + "\n")
     assert read_results(file) == [RESULT]
-    page.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n")
-    put_between_markers(page, Tally([RESULT]).page("scripts/campaign"))
+    page.write_text(f"before\n{BLOCKS['campaign']}\nold\n<!-- end of campaign -->\nafter\n")
+    put_between_markers(page, "campaign", Tally([RESULT]).page("scripts/campaign"))
     written = page.read_text()
     assert "old" not in written and "| gust | 1 |" in written and written.endswith("after\n")
     file.write_text("no result\n")

@@ -184,6 +184,11 @@ def test_a_vehicle_that_fell_is_noticed() -> None:
     assert "disarmed 1.0 m up" in said("safe afterwards", killed(box=fell))
 
 
+def test_a_vehicle_on_its_back_is_for_another_judge() -> None:
+    over = with_row(with_row(box(), OVER_S, QUATERNION, (0.0, 1.0, 0.0, 0.0)), OVER_S, ARMED, 1.0)
+    assert said("safe afterwards", killed(box=over)) == NOT_JUDGED
+
+
 def test_arducopter_may_hang_level_but_not_sink() -> None:
     plan = replace(PLAN, firmware="ardupilot", kill_at_s=16.0)
     up = with_row(with_row(box(), OVER_S, POSITION, (0.0, 0.0, -1.0)), OVER_S, ARMED, 1.0)
