@@ -98,7 +98,20 @@ class Preflight:
         vehicle, profile = self._vehicle, self._profile
         vehicle.read_parameters(vehicle.adapter.parameters_needed())
         values = vehicle.parameters.values
+        vehicle.adapter = vehicle.adapter.suited(values)
         findings = vehicle.adapter.check(values, self._level, vehicle.version)
+        cut_deg, asked_deg = vehicle.adapter.tilt_limit_deg(values), profile.limits.tilt_max_deg
+        if self._level is ControlLevel.ATTITUDE and cut_deg < asked_deg:
+            findings.append(
+                Finding(
+                    Verdict.WARNING,
+                    "tilt limit",
+                    f"{cut_deg:g}°, profile {profile.name!r} asks for up to {asked_deg:g}°",
+                    "the autopilot cuts our attitude there, and the law does not know",
+                    "set ANGLE_MAX (ATC_ANGLE_MAX) higher, or fly with "
+                    f"--set profile.limits.tilt_max_deg={cut_deg:g}",
+                )
+            )
         hover = values.get(vehicle.adapter.hover_thrust_parameter)
         if hover is not None and abs(hover / profile.hover_thrust - 1.0) > _HOVER_MISMATCH:
             findings.append(

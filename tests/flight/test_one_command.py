@@ -58,3 +58,17 @@ def test_the_same_command_flies_with_the_same_log(tmp_path, monkeypatch, firmwar
     assert digest(logs[0], without=topics) == digest(logs[-1], without=topics), differences(*logs)
     if len(libraries) == 1:
         pytest.skip("flown with pymavlink; MAVSDK is not installed")
+
+
+def test_without_gps_it_flies_in_guided_nogps(tmp_path, monkeypatch, capfd) -> None:
+    monkeypatch.setattr(realtime, "prepare", list)
+    log = tmp_path / "flight.mcap"
+    with stub_behind("--firmware", "ardupilot", "--ready-after", "2", "--param", "GPS1_TYPE=0") as port:
+        assert main(command(f"udpin:127.0.0.1:{port}", "attitude", LinkLibrary.PYMAVLINK, log)) == 0
+    modes = [event.fields["mode"] for event in read_log(log).events_of("mode")]
+    assert "GUIDED_NOGPS" in modes and "GUIDED" not in modes
+    said = capfd.readouterr().err
+    assert "ok      mode = GUIDED_NOGPS; this vehicle has no GPS" in said
+    assert "warning tilt limit = 30°, profile 'qball2' asks for up to 35°" in said
+    changes = ("set GUID_OPTIONS from 0 to 8", "put GUID_OPTIONS back to 0", "put ATC_ANGLE_BOOST back to 1")
+    assert all(change in said for change in changes)
