@@ -125,8 +125,8 @@ class Preflight:
             )
         return findings
 
-    def fix(self, findings: list[Finding]) -> list[Finding]:
-        """Set what is safe to set, remember it in `changed`, and judge again."""
+    def fix(self, findings: list[Finding], how_long: str) -> list[Finding]:
+        """Set what is safe to set, say so with `how_long` it stays, remember it in `changed`, and judge again."""
         vehicle = self._vehicle
         for finding in findings:
             if finding.fix is None:
@@ -135,7 +135,7 @@ class Preflight:
             before = vehicle.parameters.values[name]
             if vehicle.set_parameter(name, value):
                 self.changed.append((name, before, value))
-                self._reporter.say(f"set {name} from {before:g} to {value:g} for this flight")
+                self._reporter.say(f"set {name} from {before:g} to {value:g} {how_long}")
         return self.parameter_findings()
 
     def wait_until_ready(self) -> float:
