@@ -1,4 +1,4 @@
-"""`companion check` against the stub: verdicts with remedies, JSON, exit codes, --fix; a flight refuses for the same reasons."""
+"""`companion check`: verdicts, remedies, JSON, exit codes, --fix; a flight refuses for the same reasons."""
 
 from __future__ import annotations
 
