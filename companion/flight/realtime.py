@@ -28,7 +28,8 @@ def prepare() -> list[str]:
     try:
         if ctypes.CDLL(None, use_errno=True).mlockall(_MCL_CURRENT_AND_FUTURE) != 0:
             refused.append(
-                "memory not locked (needs CAP_IPC_LOCK or a memlock limit: scripts/install): a page fault can delay setpoints"
+                "memory not locked (needs CAP_IPC_LOCK or a memlock limit: scripts/install): "
+                "a page fault can delay setpoints"
             )
     except (OSError, AttributeError):
         refused.append("memory not locked: this system has no mlockall")
