@@ -53,7 +53,7 @@ def checked(endpoint: str, capsys: pytest.CaptureFixture[str], *words: str) -> t
 
 
 def test_ardupilot_as_it_comes_is_refused_and_fixed_for_good(capsys) -> None:
-    with stub_behind("--firmware", "ardupilot", "--ready-after", "2") as port:
+    with stub_behind("--firmware", "ardupilot", "--ready-after", "2", "--speed", "10") as port:
         endpoint = f"udpin:127.0.0.1:{port}"
         code, output = checked(endpoint, capsys)
         found = verdicts(output)
@@ -75,7 +75,7 @@ def test_ardupilot_as_it_comes_is_refused_and_fixed_for_good(capsys) -> None:
 
 
 def test_px4_is_flyable_and_actuators_are_not(capsys) -> None:
-    with stub_behind() as port:
+    with stub_behind("--speed", "10") as port:
         code, output = checked(f"udpin:127.0.0.1:{port}", capsys)
         assert code == 0 and json.loads(output)["flyable"] is True
         assert verdicts(output)["round trip"][0] == "ok"
@@ -103,7 +103,7 @@ def test_streams_too_slow_for_the_level_are_refused(tmp_path) -> None:
 
 def test_without_an_estimate_nothing_flies(tmp_path) -> None:
     soon = "flight.procedure.ready_timeout_s=3"
-    with stub_behind("--ready-after", "900") as port:
+    with stub_behind("--ready-after", "900", "--speed", "10") as port:
         assert "readiness" in refusals(f"udpin:127.0.0.1:{port}", "attitude", [soon])
         flown = companion(f"udpin:127.0.0.1:{port}", tmp_path, settings={"procedure.ready_timeout_s": 3.0})
     assert flown.outcome == "refused"
