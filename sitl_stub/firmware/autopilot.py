@@ -7,6 +7,7 @@ function of the seed and of what clients sent at which simulated instant.
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -33,6 +34,19 @@ AIRBORNE_ABOVE_M = 0.05
 """Truth, for what comes after take-off."""
 SIMULATED_EPOCH_US = 1_795_335_292_521_929
 """Unix time of boot, µs: that of the PX4 capture. Fixed, so that SYSTEM_TIME repeats."""
+
+
+HIGHEST_M = 83_000.0
+
+
+def whole(number: float) -> int:
+    """A command's float as a whole number; −1 where there is none."""
+    return int(number) if math.isfinite(number) else -1
+
+
+def is_place(latitude_deg: float, longitude_deg: float, altitude_m: float) -> bool:
+    """Whether these can be a place: NaN is none."""
+    return abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0 and abs(altitude_m) <= HIGHEST_M
 
 
 class Result(IntEnum):

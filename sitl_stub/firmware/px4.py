@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sitl_stub.firmware import control_layout as at
-from sitl_stub.firmware.autopilot import LOGIC_PERIOD_US, Autopilot, Command, Result
+from sitl_stub.firmware.autopilot import LOGIC_PERIOD_US, Autopilot, Command, Result, is_place, whole
 from sitl_stub.firmware.flight_core import CONTROL_PERIOD_US, FlightCore
 from sitl_stub.firmware.land_detector import LandDetector
 from sitl_stub.firmware.parameters import ParameterTable
@@ -291,8 +291,8 @@ class Px4(Autopilot):
     def _do_set_mode(self, link: Link, command: Command) -> Result | None:
         # Two acknowledgements, as in the capture: one for the command having arrived, one for its outcome.
         self.acknowledge(link, command, Result.ACCEPTED)
-        if int(command.params[0]) & 1:
-            mode = mode_of(command.params[1], command.params[2])
+        if max(whole(command.params[0]), 0) & 1:
+            mode = mode_of(whole(command.params[1]), whole(command.params[2]))
         else:
             mode = None
         self.acknowledge(link, command, self.commander.request_mode(mode))
@@ -332,6 +332,8 @@ class Px4(Autopilot):
         if command.params[0] >= 0.5:
             self.set_home_here()
         else:
+            if not is_place(*command.params[4:7]):
+                return Result.DENIED
             north, east = self.say_messages.local_of(command.params[4], command.params[5])
             self.home_ned = np.array([north, east, self.say_messages.down_of(command.params[6])])
         return Result.ACCEPTED

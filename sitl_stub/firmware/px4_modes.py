@@ -94,11 +94,11 @@ def mode_named(name: str) -> Mode | None:
     return BY_WORD.get(name.lower()) or Mode.__members__.get(name.upper())
 
 
-def mode_of(main: float, sub: float) -> Mode | None:
+def mode_of(main: int, sub: int) -> Mode | None:
     """The mode of DO_SET_MODE's numbers; PX4 takes a sub mode only for AUTO and POSCTL."""
-    if int(main) == 4:
-        return BY_NUMBERS.get((4, int(sub)))
-    return BY_NUMBERS.get((int(main), 0))
+    if main == 4:
+        return BY_NUMBERS.get((4, sub))
+    return BY_NUMBERS.get((main, 0))
 
 
 def mode_of_custom(custom_mode: int) -> Mode | None:
