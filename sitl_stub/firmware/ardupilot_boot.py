@@ -59,7 +59,7 @@ class Boot:
         self._next_report_us = FIRST_REPORT_US
 
     def _past(self, captured_s: float) -> bool:
-        return self.autopilot.time_us >= captured_s * self.scale * 1e6
+        return self.autopilot.uptime_us >= captured_s * self.scale * 1e6
 
     @property
     def ekf_started(self) -> bool:
@@ -103,7 +103,7 @@ class Boot:
             for link in a.links:
                 a.streams.build(link, 49)
                 a.streams.build(link, 242)
-        if a.time_us >= self._next_report_us:
+        if a.uptime_us >= self._next_report_us:
             self._next_report_us += REPORTS_EVERY_US
             if not a.armed:
                 for refusal in a.arming_refusals():
