@@ -111,7 +111,7 @@ class ArduPilot(Autopilot):
     @property
     def gps_found(self) -> bool:
         """Whether the receiver has been found."""
-        return self.boot.gps_found
+        return self.has_gps and self.boot.gps_found
 
     @property
     def ekf_started(self) -> bool:
@@ -124,9 +124,14 @@ class ArduPilot(Autopilot):
         return self.boot.ahrs_ready
 
     @property
+    def has_gps(self) -> bool:
+        """Whether there is a receiver (GPS1_TYPE). Without, the position is that of poses from outside, taken as given."""
+        return self.parameters["GPS1_TYPE"] != 0.0
+
+    @property
     def home_known(self) -> bool:
-        """Whether there is a home."""
-        return self.boot.home_known
+        """Whether there is a home; without a GPS nobody sets one."""
+        return self.has_gps and self.boot.home_known
 
     @property
     def logs(self) -> bool:

@@ -95,7 +95,8 @@ class Boot:
         """Say what is due; every 31 s what still stands against arming."""
         a = self.autopilot
         while self._said < len(SAYINGS) and self._past(SAYINGS[self._said][0]):
-            a.say(INFO, SAYINGS[self._said][1])
+            if a.has_gps or "GPS" not in SAYINGS[self._said][1]:
+                a.say(INFO, SAYINGS[self._said][1])
             self._said += 1
         if not self._home_told and self.home_known:
             self._home_told = True
