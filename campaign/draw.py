@@ -12,8 +12,8 @@ from campaign.faults import Fault, draw_faults
 
 FIRMWARES = ("px4", "ardupilot")
 
-FENCE_HOLD_M = 0.25
-"""`fence_margin_m.hold` as it ships: a plan that comes nearer is refused before take-off."""
+FENCE_HOLD_M = 0.02
+"""`fence_margin_m.hold` with a tight fence, so that a plan may come near it; it ships as 0.25 m."""
 EXTENT_M = {
     "lemniscate": 1.0,
     "lemniscate,scale=0.5": 0.5,
@@ -96,7 +96,10 @@ class PlannedFlight:
 
     def overrides(self) -> list[str]:
         """`--set` values."""
-        return [*_QUICK, f"flight.safety.fence.radius_m={self.fence_radius_m:g}"]
+        tight = (
+            [f"flight.safety.fence_margin_m.hold=[{FENCE_HOLD_M}, 0]"] if self.fence_radius_m < WIDE_M else []
+        )
+        return [*_QUICK, f"flight.safety.fence.radius_m={self.fence_radius_m:g}", *tight]
 
     def vehicle_file(self) -> str:
         """The varied vehicle, as the stub's TOML."""
@@ -134,7 +137,7 @@ def planned(firmware: str, seed: int) -> PlannedFlight:
         profile = vehicle = "qball2"
     trajectory = draw.choice(list(EXTENT_M))
     tight = draw.random() < 0.35
-    slack_m = draw.uniform(0.1, 0.4)
+    slack_m = draw.uniform(0.03, 0.2)
     sort = draw.random()
     kill: float | None = None
     interrupts: tuple[float, ...] = ()
@@ -149,6 +152,8 @@ def planned(firmware: str, seed: int) -> PlannedFlight:
     else:
         count = 1 if draw.random() < 0.5 else 2
         faults = draw_faults(draw, firmware, count)
+    pushed = any(fault.kind in ("gust", "link_delay", "link_jitter") for fault in faults)
+    tight = tight or (pushed and draw.random() < 0.6)
     wild = bool(faults)
     return PlannedFlight(
         firmware=firmware,

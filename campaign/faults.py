@@ -185,7 +185,9 @@ def _battery(draw: random.Random, firmware: str) -> Fault:
 
 
 def _gust(draw: random.Random, firmware: str) -> Fault:
-    strength = draw.uniform(2.0, 12.0)
+    strength = (
+        draw.uniform(2.0, 12.0) if firmware == "ardupilot" else draw.uniform(4.0, 25.0)
+    )  # by their drag
     values: list[tuple[str, Value]] = [
         (name, round(share * strength * draw.uniform(-1.0, 1.0), 2))
         for name, share in (("north_m_s", 1.0), ("east_m_s", 1.0), ("down_m_s", 0.4))

@@ -39,6 +39,8 @@ TILT_BOUND_DEG = 65.0
 """The supervisor lands beyond 50° for 0.3 s; what a vehicle may turn further until it obeys is on top."""
 FENCE_REACTION_S = 0.25
 """From the first position outside to the end of our control: the limit acts at once, a position comes every 20 to 33 ms."""
+FENCE_SLACK_M = 0.06
+"""The estimate of where it stood when it was armed wanders by as much between two messages."""
 FENCE_BLUR_M = {"mocap": 0.15, "perfect": 0.15, "gps": 1.0}
 """How far the truth may be from the estimate, by preset, so that the supervisor could not have seen it."""
 STICK_TRAVEL_US = 300.0
@@ -122,6 +124,8 @@ def safe_afterwards(e: Evidence) -> str:
     last = e.box[-1]
     if e.tilt_deg[-1] > TILT_BOUND_DEG:
         return NOT_JUDGED  # it lies on its back: `tilt` judges whether it might
+    if e.ending[0] == "pilot took over" and e.planned.has("pilot_mode", "pilot_sticks"):
+        return NOT_JUDGED  # he flies it
     if not e.armed[-1]:
         if e.height_m[-1] > 0.4:
             return f"disarmed {e.height_m[-1]:.1f} m up"
@@ -257,20 +261,24 @@ def numbers(e: Evidence) -> str:
 
 def fence_as_seen(e: Evidence) -> str:
     """By the positions that the companion was told: outside the fence our control ends within FENCE_REACTION_S."""
-    if e.log_trouble or not e.setpoints or e.planned.has(*MOVED_FRAMES, *CLOCKS):
+    moved = [kind for kind in e.planned.kinds if kind in MOVED_FRAMES]
+    if e.log_trouble or not e.setpoints or e.planned.has(*CLOCKS) or (moved and e.planned.has(*LINK)):
         return NOT_JUDGED
+    frame_resets = {text for kind in moved for text in (f"fault: {kind}", f"fault: {kind} off")}
     home: tuple[float, ...] | None = None
     armed = False
     for index, frame in enumerate(e.wire.frames):
         if frame.outgoing:
             continue
+        if text_of(frame) in frame_resets:
+            return KEPT  # from here on the fence stands elsewhere
         armed = armed or bool(armed_of(frame))
         if frame.message_id != LOCAL_POSITION_NED:
             continue
         place = frame.unpack("<I3f")[1:]
         if not armed:
             home = place
-        elif home is not None and math.dist(place[:2], home[:2]) > e.planned.fence_radius_m + 0.15:
+        elif home is not None and math.dist(place[:2], home[:2]) > e.planned.fence_radius_m + FENCE_SLACK_M:
             return _ended_by(e, index, f"{math.dist(place[:2], home[:2]):.2f} m from home")
     return KEPT
 

@@ -106,7 +106,7 @@ def _adapt_backwards() -> None:
 
 
 def _attacked(one: PlannedFlight) -> bool:
-    return one.fence_radius_m < WIDE_M and one.has("gust", "link_delay", "link_jitter")
+    return one.fence_radius_m < WIDE_M and one.has("gust", "payload_drop", "link_delay", "link_jitter")
 
 
 def _adapting(one: PlannedFlight) -> bool:

@@ -22,6 +22,7 @@ from companion.reference.polynomial import (
 )
 from companion.reference.trajectory import Trajectory, held_outside, resting, wrapped
 
+NEARLY = 1.25  # times the least possible excess, where no duration keeps to all limits
 SHORTEST_S = 0.5  # also for a transit to where the vehicle already is
 
 _PLANNING_BASIS = derivative_basis(np.linspace(0.0, 1.0, 41))
@@ -246,10 +247,14 @@ def _excess(durations: Vector, starts: Vector, ends: Vector, limits: TransitLimi
 
 
 def _best(durations: Vector, starts: Vector, ends: Vector, limits: TransitLimits) -> float:
-    """Shortest duration that keeps to the limits, or the one that exceeds them least."""
+    """Shortest duration that keeps to the limits; where none does, the shortest that is nearly the least bad.
+
+    The least bad one itself may be three times as long and lead metres away, for a hundredth of a limit.
+    """
     excess = _excess(durations, starts, ends, limits)
-    good = np.flatnonzero(excess <= 1.0)
-    return float(durations[good[0]] if good.size else durations[int(np.argmin(excess))])
+    least = float(excess.min())
+    good = np.flatnonzero(excess <= (1.0 if least <= 1.0 else NEARLY * least))
+    return float(durations[good[0]])
 
 
 def _planned(duration_s: float, first: Vector, last: Vector, limits: TransitLimits) -> Transit:

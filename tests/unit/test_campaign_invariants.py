@@ -139,9 +139,14 @@ def test_control_that_goes_on_outside_the_fence_is_noticed() -> None:
     assert said("fence as seen", good(frames=in_time)) == KEPT
 
 
-def test_a_position_that_cannot_be_believed_says_nothing_of_the_fence() -> None:
+def test_a_fence_that_moved_with_the_frame_is_judged_up_to_then() -> None:
     plan = replace(PLAN, faults=(Fault("estimator_reset", "airborne", 1.0, None),))
-    assert said("fence as seen", replace(outside(12.0), planned=plan)) == NOT_JUDGED
+    late = outside(12.0)
+    assert "setpoints until" in said("fence as seen", replace(late, planned=plan))
+    reset = [announced(4.5, "fault: estimator_reset"), *late.wire.frames]
+    assert said("fence as seen", good(frames=reset, planned=plan)) == KEPT
+    lossy = replace(plan, faults=(*plan.faults, Fault("link_loss", "airborne", 1.0, 1.0)))
+    assert said("fence as seen", replace(late, planned=lossy)) == NOT_JUDGED
 
 
 def test_the_truth_outside_the_fence_is_noticed() -> None:
@@ -187,6 +192,15 @@ def test_a_vehicle_that_fell_is_noticed() -> None:
 def test_a_vehicle_on_its_back_is_for_another_judge() -> None:
     over = with_row(with_row(box(), OVER_S, QUATERNION, (0.0, 1.0, 0.0, 0.0)), OVER_S, ARMED, 1.0)
     assert said("safe afterwards", killed(box=over)) == NOT_JUDGED
+
+
+def test_a_vehicle_that_a_pilot_flies_is_his() -> None:
+    plan = replace(PLAN, faults=(Fault("pilot_mode", "airborne", 1.0, None),))
+    up = with_row(with_row(box(), OVER_S, POSITION, (0.0, 0.0, -99.0)), OVER_S, ARMED, 1.0)
+    up[:, VELOCITY] = (0.0, 0.0, 5.0)
+    his = good(planned=plan, words=("pilot took over: mode",), code=3, box=up)
+    assert said("safe afterwards", his) == NOT_JUDGED
+    assert said("safe afterwards", good(planned=PLAN, words=("aborted: a limit",), code=3, box=up)) != KEPT
 
 
 def test_arducopter_may_hang_level_but_not_sink() -> None:

@@ -242,3 +242,19 @@ def test_what_cannot_be_planned_is_refused() -> None:
         TransitLimits(speed_m_s=0.0)
     with pytest.raises(ValueError, match="heights"):
         TransitLimits(height_min_m=2.0, height_max_m=1.0)
+
+
+def test_a_run_out_does_not_wander_off_where_no_duration_keeps_to_the_limits():
+    """Found by the campaign: leaving the lemniscate after 5.9 s took 7.4 s and led 2.9 m away."""
+    flown = Lemniscate()
+    for limits in (
+        TransitLimits(0.8, 0.8, 2.0, height_min_m=0.25),
+        TransitLimits(1.0, 1.2, 4.0, height_min_m=0.25),
+    ):
+        for moment_s in np.arange(3.0, 11.0, 0.1):
+            state = flown.sample(float(moment_s))
+            leave = run_out(state, limits)
+            rest = leave.sample(leave.duration_s)
+            assert leave.duration_s < 3.0
+            assert np.linalg.norm(rest.position_enu - state.position_enu) < 1.6
+            assert leave.peaks.acceleration_m_s2 < 2.0 * max(limits.acceleration_m_s2, 1.35)
