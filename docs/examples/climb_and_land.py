@@ -11,9 +11,13 @@ mavlink = mavutil.mavlink
 def ask(link, command, *params):
     """Send a command; raise RuntimeError when the autopilot refuses it."""
     link.mav.command_long_send(1, 1, command, 0, *params, *[0] * (7 - len(params)))
-    ack = link.recv_match(type="COMMAND_ACK", condition=f"COMMAND_ACK.command=={command}", blocking=True, timeout=5)
+    ack = link.recv_match(
+        type="COMMAND_ACK", condition=f"COMMAND_ACK.command=={command}", blocking=True, timeout=5
+    )
     if ack is None or ack.result != mavlink.MAV_RESULT_ACCEPTED:
-        raise RuntimeError(f"command {command}: {'no answer' if ack is None else f'refused with {ack.result}'}")
+        raise RuntimeError(
+            f"command {command}: {'no answer' if ack is None else f'refused with {ack.result}'}"
+        )
 
 
 def climb_and_land(endpoint, height_m):
