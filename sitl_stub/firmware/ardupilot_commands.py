@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 from sitl_stub.firmware.ardupilot_modes import Mode
 from sitl_stub.firmware.ardupilot_streams import STREAM_GROUPS
-from sitl_stub.firmware.autopilot import Command, CommandHandler, MessageHandler, Result
+from sitl_stub.firmware.autopilot import Command, CommandHandler, MessageHandler, Result, whole
+from sitl_stub.firmware.globe import is_place
 from sitl_stub.firmware.parameters import ParameterError
 from sitl_stub.mavlink.codec import LAYOUTS, Received
 from sitl_stub.mavlink.links import Link
@@ -28,17 +29,6 @@ FULL_STICK = 1000.0
 PWM_MIDDLE, PWM_HALF, PWM_LEAST, PWM_RANGE = 1500.0, 500.0, 1000.0, 1000.0
 INFO = 6
 FASTEST_M_S = 100.0
-HIGHEST_M = 83_000.0
-
-
-def whole(number: float) -> int:
-    """A command's float as a whole number; −1 where there is none."""
-    return int(number) if math.isfinite(number) else -1
-
-
-def is_place(latitude_deg: float, longitude_deg: float, altitude_m: float) -> bool:
-    """Whether these can be a place: NaN is none."""
-    return abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0 and abs(altitude_m) <= HIGHEST_M
 
 
 class ArduPilotCommands:

@@ -7,6 +7,7 @@ function of the seed and of what clients sent at which simulated instant.
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -52,6 +53,11 @@ class Command:
 CommandHandler = Callable[[Link, Command], Result | None]
 """Returns the result to acknowledge, or None when the handler has acknowledged itself (or keeps silent)."""
 MessageHandler = Callable[[Link, Received], None]
+
+
+def whole(number: float) -> int:
+    """A command's float as a whole number; −1 where there is none."""
+    return int(number) if math.isfinite(number) else -1
 
 
 class Autopilot:

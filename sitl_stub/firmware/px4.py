@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from sitl_stub.firmware import control_layout as at
-from sitl_stub.firmware.autopilot import LOGIC_PERIOD_US, Autopilot, Command, Result
+from sitl_stub.firmware.autopilot import LOGIC_PERIOD_US, Autopilot, Command, Result, whole
 from sitl_stub.firmware.flight_core import CONTROL_PERIOD_US, FlightCore
+from sitl_stub.firmware.globe import HIGHEST_M, is_place
 from sitl_stub.firmware.land_detector import LandDetector
 from sitl_stub.firmware.parameters import ParameterTable
 from sitl_stub.firmware.px4_commander import FORCE_MAGIC, Commander
@@ -242,8 +243,9 @@ class Px4(Autopilot):
     def _do_set_mode(self, link: Link, command: Command) -> Result | None:
         # Two acknowledgements, as in the capture: one for the command having arrived, one for its outcome.
         self.acknowledge(link, command, Result.ACCEPTED)
-        if int(command.params[0]) & 1:
-            mode = mode_of(command.params[1], command.params[2])
+        base, main, sub = (max(whole(number), 0) for number in command.params[:3])
+        if base & 1:
+            mode = mode_of(main, sub)
         else:
             mode = None
         self.acknowledge(link, command, self.commander.request_mode(mode))
@@ -254,7 +256,7 @@ class Px4(Autopilot):
 
     def _takeoff(self, link: Link, command: Command) -> Result | None:
         altitude = command.params[6]
-        if math.isfinite(altitude) and altitude != 0.0:
+        if abs(altitude) <= HIGHEST_M and altitude != 0.0:
             height = altitude - self.say_messages.altitude_of(float(self.home_ned[2]))
             if height > 0.5:
                 self.navigator.takeoff_altitude_m = height
@@ -265,9 +267,9 @@ class Px4(Autopilot):
         result = self.commander.request_mode(Mode.LOITER)
         if result is Result.ACCEPTED:
             target = np.array(self.navigator.target)
-            if math.isfinite(latitude) and math.isfinite(longitude) and (latitude or longitude):
+            if is_place(latitude, longitude, 0.0) and (latitude or longitude):
                 target[:2] = self.say_messages.local_of(latitude, longitude)
-            if math.isfinite(altitude):
+            if abs(altitude) <= HIGHEST_M:
                 target[2] = self.say_messages.down_of(altitude)
             if math.isfinite(command.params[3]):
                 self.navigator.yaw = command.params[3]
@@ -283,6 +285,8 @@ class Px4(Autopilot):
         if command.params[0] >= 0.5:
             self.set_home_here()
         else:
+            if not is_place(*command.params[4:7]):
+                return Result.DENIED
             north, east = self.say_messages.local_of(command.params[4], command.params[5])
             self.home_ned = np.array([north, east, self.say_messages.down_of(command.params[6])])
         return Result.ACCEPTED

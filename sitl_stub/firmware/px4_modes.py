@@ -78,11 +78,9 @@ FAILSAFE_TERMINATE = 6
 FAILSAFE_DISARM = 7
 
 
-def mode_of(main: float, sub: float) -> Mode | None:
+def mode_of(main: int, sub: int) -> Mode | None:
     """The mode of DO_SET_MODE's numbers; PX4 takes a sub mode only for AUTO and POSCTL."""
-    if int(main) == 4:
-        return BY_NUMBERS.get((4, int(sub)))
-    return BY_NUMBERS.get((int(main), 0))
+    return BY_NUMBERS.get((main, sub if main == 4 else 0))
 
 
 def mode_of_custom(custom_mode: int) -> Mode | None:
