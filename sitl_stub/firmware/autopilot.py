@@ -23,6 +23,8 @@ from sitl_stub.mavlink.links import Link
 LOGIC_PERIOD_US = 10_000
 PARAMETERS_PER_INSTANT = 10
 REFUSED_PROBE_US = 500_000
+LONGEST_INTERVAL_US = 2.0**31 - 1.0
+"""What MESSAGE_INTERVAL can tell."""
 UINT32 = 5
 SIMULATED_EPOCH_US = 1_795_335_292_521_929
 """Unix time of boot, µs: that of the PX4 capture. Fixed, so that SYSTEM_TIME repeats."""
@@ -237,8 +239,12 @@ class Autopilot:
         return Result.ACCEPTED
 
     def _set_message_interval(self, link: Link, command: Command) -> Result | None:
-        message_id, interval = self._message_id(command), command.params[1]
-        if message_id is None or not self.streams.set_interval(link, message_id, interval, self.time_us):
+        message_id, interval = self._message_id(command), min(command.params[1], LONGEST_INTERVAL_US)
+        if (
+            message_id is None
+            or not math.isfinite(interval)
+            or not self.streams.set_interval(link, message_id, interval, self.time_us)
+        ):
             return self.unknown_interval_result
         return Result.ACCEPTED
 
