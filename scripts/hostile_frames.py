@@ -58,6 +58,9 @@ class Broken(Exception):
 class Target(Protocol):
     """What is attacked."""
 
+    sender: tuple[int, int]
+    """Whom forged frames pretend to be from."""
+
     def feed(self, data: bytes) -> None:
         """Hand over one datagram, or a piece of a stream."""
 
@@ -125,8 +128,13 @@ def damaged(draw: random.Random, frames: Sequence[bytes]) -> bytes:
     return bytes(data)
 
 
-def forged_frame(draw: random.Random, message_id: int, fields: dict[str, Any] | None = None) -> bytes:
-    """A frame of any content with a right checksum, MAVLink 1 or 2, short or long."""
+def forged_frame(
+    draw: random.Random,
+    message_id: int,
+    fields: dict[str, Any] | None = None,
+    sender: tuple[int, int] = (255, 190),
+) -> bytes:
+    """A frame of any content with a right checksum, MAVLink 1 or 2, short or long; `sender`: system, component."""
     cls = mavlink.mavlink_map[message_id]
     payload = bytearray(draw.randbytes(cls.unpacker.size))
     offset = 0
@@ -144,14 +152,14 @@ def forged_frame(draw: random.Random, message_id: int, fields: dict[str, Any] | 
                 struct.pack_into("<f", payload, at, struct.unpack("<f", struct.pack("<f", value))[0])
         offset += size
     if message_id < 256 and draw.random() < 0.2:
-        header = bytes((len(payload), draw.randrange(256), 255, 190, message_id))
+        header = bytes((len(payload), draw.randrange(256), *sender, message_id))
         start = b"\xfe"
     else:
         if draw.random() < 0.2:
             payload = payload[: draw.randint(1, len(payload))]
         elif draw.random() < 0.1:
             payload += draw.randbytes(draw.randint(0, 255 - len(payload)))
-        header = bytes((len(payload), 0, draw.randrange(256), draw.randrange(256), 255, 190))
+        header = bytes((len(payload), 0, draw.randrange(256), draw.randrange(256), *sender))
         header += message_id.to_bytes(3, "little")
         start = b"\xfd"
     crc = mcrf4xx(header + bytes(payload) + bytes((cls.crc_extra,)))
@@ -233,6 +241,7 @@ class Firmware:
     """Codec and handlers of one firmware, inside this process; a second link sees what a client would see."""
 
     def __init__(self, firmware: str) -> None:
+        self.sender = (255, 190)
         self.autopilot, self.link = flying(firmware)
         self.witness = MemoryLink("witness")
         self.autopilot.attach(self.witness)
@@ -287,6 +296,7 @@ class Process:
             firmware, transport="tcp" if transport == "tcp" else "udp-server", speed=10.0, ready_after_s=1.0
         )
         self.stub.start()
+        self.sender = (255, 190)
         self.witness = mavutil.mavlink_connection(self.stub.endpoint, source_system=42)
         _, host, port = self.stub.endpoint.split(":")
         self.stream = transport == "tcp"
@@ -374,6 +384,7 @@ class CompanionLink:
     def __init__(self, stream: bool) -> None:
         from companion.flight.vehicle import Vehicle
 
+        self.sender = (1, 1)
         self.wire = Wire(not stream)
         self.link = Link(self.wire)  # type: ignore[arg-type]
         self.vehicle = Vehicle(self.link, 5.0)
@@ -474,7 +485,7 @@ def one_frame(
         fields = {}
         if number in (mavlink.MAVLINK_MSG_ID_COMMAND_LONG, mavlink.MAVLINK_MSG_ID_COMMAND_INT):
             fields["command"] = draw.choice(target.commands) if draw.random() < 0.9 else draw.randrange(65536)
-        data = forged_frame(draw, number, fields)
+        data = forged_frame(draw, number, fields, target.sender if draw.random() < 0.9 else (77, 1))
     else:
         data = damaged(draw, frames)
     before, state = target.taken(), target.state()
