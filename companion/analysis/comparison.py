@@ -95,7 +95,9 @@ def compare_flights(flights: Sequence[Flight]) -> Comparison:
     if not used:
         raise UserError("none of these logs holds tracking that can be compared; see `companion analyze LOG`")
     notes = [
-        f"{item.record.path.name}: not compared, no tracking in it" for item in flights if item not in used
+        f"{item.record.path.name}: not compared, no tracking in it"
+        for item in flights
+        if not item.metrics.samples
     ]
     judged_by = "truth" if all("truth" in item.metrics.samples for item in used) else "estimate"
     if judged_by == "estimate":

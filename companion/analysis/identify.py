@@ -185,7 +185,9 @@ def _levenberg_marquardt(residual: Callable[[Vector], Vector], start: Vector) ->
         step = np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-12), -jacobian.T @ error)
         trial = point + np.clip(step, -0.5, 0.5)
         trial_error = residual(trial)
-        if trial_error @ trial_error < error @ error:
+        with np.errstate(over="ignore", invalid="ignore"):  # of a trial that ran away
+            better = trial_error @ trial_error < error @ error
+        if better:
             done = float(np.max(np.abs(trial - point))) < 1e-5
             point, error, damping = trial, trial_error, damping * 0.3
             jacobian = _jacobian(residual, point, error)

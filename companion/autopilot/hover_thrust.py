@@ -25,6 +25,8 @@ FIRST_UNCERTAINTY = 0.25
 """Of the first value, relative: parameters are wrong by this much now and then."""
 TRUST = 1.6
 """Bounds: first value divided by and multiplied by this."""
+LIFT_OFF_UNCERTAINTY = 0.1
+"""Of the value read off a lift-off, relative: ground effect, the estimator's delay."""
 GATE = 4.0
 """Innovations beyond this many standard deviations are not believed."""
 
@@ -59,6 +61,19 @@ class HoverThrustEstimator:
     def sent(self, time_s: float, thrust: float) -> None:
         """Note a setpoint sent at `time_s` (autopilot's clock)."""
         self._pending.append((time_s + self._dead_time_s, thrust))
+
+    def lifted_off(self, thrust: float, slope_1_s: float, velocity_up_m_s: float) -> None:
+        """Take what a lift-off tells: setpoint `thrust`, raised by `slope_1_s` a second, has led to this upward speed.
+
+        The thrust u acts late by dead time and rotor lag, and beyond the balance h it grows linearly: v = g/h · slope τ²/2
+        with τ since the balance, so thrust − slope · (lag + τ) = h, a quadratic equation for √h.
+        """
+        lag_s = self._dead_time_s + 1.0 / self._lag_rad_s
+        b = math.sqrt(2.0 * max(velocity_up_m_s, 0.0) * slope_1_s / GRAVITY)
+        root = 0.5 * (math.sqrt(b * b + 4.0 * max(thrust - slope_1_s * lag_s, 0.0)) - b)
+        if root > 0.0:
+            hover = min(self._first * TRUST, max(self._first / TRUST, root * root))
+            self._weigh(GRAVITY, hover, LIFT_OFF_UNCERTAINTY * GRAVITY)
 
     def update(self, time_s: float, velocity_up_m_s: float, cos_tilt: float, trusted: bool) -> None:
         """Take a state.
@@ -96,8 +111,12 @@ class HoverThrustEstimator:
 
     def _correct(self, force_per_mass: float, effort: float, span_s: float) -> None:
         self._variance += (PROCESS_NOISE * self._slope) ** 2 * span_s
+        self._weigh(force_per_mass, effort, ACCELERATION_NOISE_M_S2)
+
+    def _weigh(self, force_per_mass: float, effort: float, noise_m_s2: float) -> None:
+        """One measurement force/m = c · effort, in m/s² with its standard deviation."""
         innovation = force_per_mass - self._slope * effort
-        spread = effort * effort * self._variance + ACCELERATION_NOISE_M_S2**2
+        spread = effort * effort * self._variance + noise_m_s2**2
         if innovation * innovation > GATE * GATE * spread:
             return
         gain = self._variance * effort / spread

@@ -42,8 +42,8 @@ ATTITUDE = "attitude_loop."
 HORIZONTAL, VERTICAL, TILT, YAW = (0, 1), (2,), (0, 1), (2,)
 
 LOOP_PARAMETERS = (
-    Parameter(POSITION + "K_e", HORIZONTAL, 0.5, 4.0),
-    Parameter(POSITION + "K_e", VERTICAL, 0.5, 5.0),
+    Parameter(POSITION + "K_e", HORIZONTAL, 0.5, 6.0),
+    Parameter(POSITION + "K_e", VERTICAL, 0.5, 6.0),
     Parameter(POSITION + "K_U", HORIZONTAL, 0.3, 8.0, "mass"),
     Parameter(POSITION + "K_U", VERTICAL, 1.0, 10.0, "mass"),
 )

@@ -154,15 +154,21 @@ class ControlLoop:
         self.activity = Activity.LIFT_OFF
 
     def follow(self, plan: FlightPlan, state: VehicleState) -> None:
-        """Hand over to the control law, without a bump, at `state`."""
+        """Hand over to the control law at `state`: it goes on from level flight with the thrust that carries the weight.
+
+        What lifted the vehicle off is more than that: kept, it would go on accelerating it.
+        """
         self._plan, self._plan_started_s = plan, state.time_s
         self._shift_enu, self._shift_yaw_rad = np.zeros(3), 0.0
         self._jump_enu = np.zeros(3)
+        rise_1_s = self._settings.procedure.lift_off_rate * self._thrust.hover_thrust
+        self._hover.lifted_off(self.lift_off_thrust, rise_1_s, float(state.velocity_enu[2]))
+        self._thrust = replace(self._thrust, hover_thrust=self._hover.hover_thrust)
         self._memory = self._law.take_over(
             self._memory,
             state,
             plan.sample(0.0),
-            self._thrust.newton(self.lift_off_thrust),
+            self._thrust.newton(self._thrust.hover_thrust),
             self._level_quaternion,
         )
         self._last_step_s = state.time_s - self.period_s

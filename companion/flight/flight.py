@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -226,7 +226,8 @@ class Flight:
         vehicle.until(lambda: self._left(ground), vehicle.adapter.spool_time_s + 15.0, "lift-off")
         self._airborne = True
         state = vehicle.state
-        start = at_rest(state.position_enu, ground.yaw_rad)
+        rising = np.array([0.0, 0.0, max(0.0, float(state.velocity_enu[2]))])
+        start = replace(at_rest(state.position_enu, ground.yaw_rad), velocity_enu=rising)
         self._plan = plan.climbing_from(start, self._transit_limits(float(ground.position_enu[2])))
         loop.follow(self._plan, state)
         self._reporter.say(

@@ -1,8 +1,8 @@
 """One conversation with one autopilot: bytes in, believed messages out; messages in, bytes out.
 
 The link locks on to the first autopilot it hears (or the one named) and obeys nobody else: frames of other
-systems are counted and dropped. It answers the autopilot's TIMESYNC and nothing more; everything is done in the
-caller's thread, in the order the frames arrived.
+systems are counted and dropped. It answers the autopilot's TIMESYNC, refuses every command that is meant for the
+companion, and nothing more; everything is done in the caller's thread, in the order the frames arrived.
 """
 
 from __future__ import annotations
@@ -28,6 +28,10 @@ OUR_COMPONENT = mav.MAV_COMP_ID_ONBOARD_COMPUTER  # 191
 HEARTBEAT_PERIOD_S = 1.0
 AUTOPILOT_COMPONENT = mav.MAV_COMP_ID_AUTOPILOT1
 _NOT_AUTOPILOTS = (mav.MAV_AUTOPILOT_INVALID,)
+REFUSAL_PERIOD_S = (
+    0.1  # between answers to commands for us, so that who floods us with them cannot fill the wire
+)
+_COMMANDS = (mav.MAVLINK_MSG_ID_COMMAND_LONG, mav.MAVLINK_MSG_ID_COMMAND_INT)
 _STAMPED_WITH_A_SETPOINT = (
     mav.MAVLINK_MSG_ID_ATTITUDE_TARGET,
     mav.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED,
@@ -64,6 +68,7 @@ class Link:
         self._tap = tap
         self._now_ns = now_ns
         self._last_heartbeat_ns = 0
+        self._last_refusal_ns = -(1 << 62)
         self._last_heartbeat_autopilot_s = -1e9
         self._last_timesync_autopilot_s = -1e9
         self._expected_sequence: int | None = None
@@ -141,11 +146,15 @@ class Link:
             self._framer.reject()
             return None
         if not self._signature_holds(frame):
+            if not is_signed(frame):
+                self._refuse_command(message, mav.MAV_RESULT_DENIED)
             return None
         if message.get_msgId() < 0:
             self._note_unknown(frame)
             return None
-        if not self._is_our_autopilot(message):
+        ours = self._is_our_autopilot(message)
+        self._refuse_command(message, mav.MAV_RESULT_UNSUPPORTED)
+        if not ours:
             self.counters["other senders"] += 1
             return None
         self._count_loss(message.get_seq())
@@ -173,6 +182,20 @@ class Link:
             self._transport.greet_sender()  # an autopilot whose clock is behind takes our time from our frames
         return False
 
+    def _refuse_command(self, message: Message, result: int) -> None:
+        """Whoever commands the companion itself, signed or not: it takes no commands, and says so when asked by name."""
+        if message.get_msgId() not in _COMMANDS or self.target_system is None:
+            return
+        if (message.target_system, message.target_component) != (self.target_system, OUR_COMPONENT):
+            return
+        self.counters["commands refused"] += 1
+        now_ns = self._now_ns()
+        if (now_ns - self._last_refusal_ns) * 1e-9 < REFUSAL_PERIOD_S:
+            return
+        self._last_refusal_ns = now_ns
+        asker = message.get_srcSystem(), message.get_srcComponent()
+        self.send(mav.MAVLink_command_ack_message(message.command, result, 0, 0, *asker))
+
     def _note_unknown(self, frame: bytearray) -> None:
         """A message newer than our dialect: counted and logged, not understood."""
         self.counters["unknown messages"] += 1
@@ -186,7 +209,8 @@ class Link:
         system, component = message.get_srcSystem(), message.get_srcComponent()
         if self.target_system is None:
             if (
-                message.get_msgId() != mav.MAVLINK_MSG_ID_HEARTBEAT
+                system == 0  # means everybody, and is nobody's
+                or message.get_msgId() != mav.MAVLINK_MSG_ID_HEARTBEAT
                 or component != AUTOPILOT_COMPONENT
                 or message.autopilot in _NOT_AUTOPILOTS
             ):

@@ -40,6 +40,7 @@ DATAGRAMS_PER_POLL = 64
 CLOCK_WINDOW_S = 5.0  # of datagrams that the source's clock is judged by
 LATE_S = 0.2  # behind the quickest datagram: the pose is history
 SILENT_S = 0.5
+SHORTEST_STEP_S = 1e-4  # from pose to pose; closer ones give differences that are no velocities
 FASTEST_M_S = 20.0
 JUMP_M = 0.3  # a pose farther than this and than FASTEST_M_S allows is one bad fit, …
 JUMPS_BELIEVED = 5  # … unless so many in a row agree: then the source's origin has moved (reset_counter)
@@ -122,7 +123,7 @@ class OutsidePoses:
             pose = parse_pose(data)
         except BadPose as bad:
             return self._drop(f"pose {bad}", arrived_s)
-        if self._last is not None and pose.time_s <= self._last.time_s:
+        if self._last is not None and pose.time_s < self._last.time_s + SHORTEST_STEP_S:
             if pose.time_s > self._last.time_s - 5.0:
                 return self._drop("pose repeated or out of order", arrived_s)
             self._start_again()  # the source was started again: its clock, perhaps its origin, is another

@@ -31,6 +31,8 @@ _COVARIANCE = struct.Struct(f"<{COVARIANCE_NUMBERS}f")
 FASTEST_M_S = 100.0
 NORM_TOLERANCE = 0.05  # of the quaternion's length; more is not a rotation badly rounded
 FARTHEST_M = 1e4
+LATEST_S = 1e11  # of any clock; beyond it a float64 tells no two poses of a flight apart
+LARGEST_COVARIANCE = 1e8  # m² or rad²; MAVLink carries float32, and more is no measurement
 
 
 class BadPose(ValueError):
@@ -95,6 +97,8 @@ def _checked(
 ) -> OutsidePose:
     if not all(math.isfinite(v) for v in (time_s, *position, *quaternion, *(velocity or ()))):
         raise BadPose("not finite")
+    if abs(time_s) > LATEST_S:
+        raise BadPose("time out of range")
     if max(abs(v) for v in position) > FARTHEST_M:
         raise BadPose("too far away")
     if velocity is not None and max(abs(v) for v in velocity) > FASTEST_M_S:
@@ -107,6 +111,8 @@ def _checked(
         triangle = np.array(covariance, dtype=np.float64)
         if triangle.shape != (COVARIANCE_NUMBERS,) or not np.all(np.isfinite(triangle)):
             raise BadPose("covariance not 21 finite numbers")
+        if np.any(np.abs(triangle) > LARGEST_COVARIANCE):
+            raise BadPose("covariance out of range")
         if np.any(np.diag(full_covariance(triangle)) < 0.0):
             raise BadPose("negative variance")
     return OutsidePose(

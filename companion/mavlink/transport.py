@@ -16,6 +16,7 @@ from collections import deque
 
 from companion.config.errors import UserError
 from companion.mavlink.endpoint import Endpoint, EndpointKind
+from companion.mavlink.sender_filter import hear_everybody, hear_only
 
 RECEIVE_BUFFER_BYTES = 1 << 20
 CHUNKS_PER_READ = 64  # bounds how long one `receive` can keep the control thread under a flood
@@ -62,7 +63,8 @@ class UdpTransport(Transport):
     """UDP, listening (the peer is whoever speaks MAVLink first) or speaking first to a fixed address.
 
     A listening one hears nobody but its peer while the peer speaks. Once that has been silent for PEER_SILENT_S, a good
-    frame of the same autopilot from another address makes that one the peer: a restarted router has a new port.
+    frame of the same autopilot from another address makes that one the peer: a restarted router has a new port. Others'
+    datagrams are dropped by the kernel while the peer speaks, so that no flood of them reaches the control thread.
     """
 
     datagrams = True
@@ -77,6 +79,7 @@ class UdpTransport(Transport):
         self._last_sender: tuple[str, int] | None = None
         self._greeted: tuple[str, int] | None = None
         self.peer: tuple[str, int] | None = None
+        self._filtered = False
         try:
             if self._fixed_peer:
                 self.peer = (socket.gethostbyname(endpoint.host), endpoint.number)
@@ -86,9 +89,14 @@ class UdpTransport(Transport):
         except OSError as error:
             self._socket.close()
             raise _cannot_open(endpoint, error) from None
+        if self.peer is not None:
+            self._filtered = hear_only(self._socket, self.peer)
 
     def wait(self, timeout_s: float) -> bool:
         """See `Transport.wait`."""
+        if self._filtered and not self._fixed_peer and time.monotonic() - self._peer_heard_s > PEER_SILENT_S:
+            hear_everybody(self._socket)
+            self._filtered = False
         return bool(select.select([self._socket], [], [], max(0.0, timeout_s))[0])
 
     def receive(self) -> list[bytes]:
@@ -104,6 +112,8 @@ class UdpTransport(Transport):
                 continue
             if sender == self.peer:
                 self._peer_heard_s = now_s
+                if not self._filtered:
+                    self._filtered = hear_only(self._socket, sender)
                 chunks.append(data)
             elif self.peer is None or (not self._fixed_peer and now_s - self._peer_heard_s > PEER_SILENT_S):
                 self._last_sender = sender
@@ -120,6 +130,7 @@ class UdpTransport(Transport):
             self.notices.append(f"the autopilot now speaks from {host}:{port}")
         self.peer, self._last_sender = self._last_sender, None
         self._peer_heard_s = time.monotonic()
+        self._filtered = self.peer is not None and hear_only(self._socket, self.peer)
 
     def greet_sender(self) -> None:
         """See `Transport.greet_sender`: our frames go there until we have a peer."""

@@ -30,6 +30,19 @@ SIMULATED_EPOCH_US = 1_795_335_292_521_929
 """Unix time of boot, µs: that of the PX4 capture. Fixed, so that SYSTEM_TIME repeats."""
 
 
+HIGHEST_M = 83_000.0
+
+
+def whole(number: float) -> int:
+    """A command's float as a whole number; −1 where there is none."""
+    return int(number) if math.isfinite(number) else -1
+
+
+def is_place(latitude_deg: float, longitude_deg: float, altitude_m: float) -> bool:
+    """Whether these can be a place: NaN is none."""
+    return abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0 and abs(altitude_m) <= HIGHEST_M
+
+
 class Result(IntEnum):
     """MAV_RESULT."""
 
@@ -55,11 +68,6 @@ class Command:
 CommandHandler = Callable[[Link, Command], Result | None]
 """Returns the result to acknowledge, or None when the handler has acknowledged itself (or keeps silent)."""
 MessageHandler = Callable[[Link, Received], None]
-
-
-def whole(number: float) -> int:
-    """A command's float as a whole number; −1 where there is none."""
-    return int(number) if math.isfinite(number) else -1
 
 
 class Autopilot:

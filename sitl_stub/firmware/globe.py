@@ -6,8 +6,6 @@ import math
 from dataclasses import dataclass
 
 EARTH_RADIUS_M = 6371000.0
-HIGHEST_M = 83_000.0
-"""No altitude is asked for beyond this, nor below its negative."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,8 +29,3 @@ class LocalOrigin:
         scale = EARTH_RADIUS_M * math.cos(math.radians(self.latitude_deg))
         north = math.radians(latitude_deg - self.latitude_deg) * EARTH_RADIUS_M
         return north, math.radians(longitude_deg - self.longitude_deg) * scale
-
-
-def is_place(latitude_deg: float, longitude_deg: float, altitude_m: float) -> bool:
-    """Whether these can be a place: NaN is none."""
-    return abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0 and abs(altitude_m) <= HIGHEST_M

@@ -13,9 +13,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from sitl_stub.firmware import control_layout as at
-from sitl_stub.firmware.autopilot import LOGIC_PERIOD_US, Autopilot, Command, Result, whole
+from sitl_stub.firmware.autopilot import (
+    HIGHEST_M,
+    LOGIC_PERIOD_US,
+    Autopilot,
+    Command,
+    Result,
+    is_place,
+    whole,
+)
 from sitl_stub.firmware.flight_core import CONTROL_PERIOD_US, FlightCore
-from sitl_stub.firmware.globe import HIGHEST_M, is_place
 from sitl_stub.firmware.land_detector import LandDetector
 from sitl_stub.firmware.parameters import ParameterTable
 from sitl_stub.firmware.px4_commander import FORCE_MAGIC, Commander
@@ -243,9 +250,8 @@ class Px4(Autopilot):
     def _do_set_mode(self, link: Link, command: Command) -> Result | None:
         # Two acknowledgements, as in the capture: one for the command having arrived, one for its outcome.
         self.acknowledge(link, command, Result.ACCEPTED)
-        base, main, sub = (max(whole(number), 0) for number in command.params[:3])
-        if base & 1:
-            mode = mode_of(main, sub)
+        if max(whole(command.params[0]), 0) & 1:
+            mode = mode_of(whole(command.params[1]), whole(command.params[2]))
         else:
             mode = None
         self.acknowledge(link, command, self.commander.request_mode(mode))

@@ -80,7 +80,9 @@ FAILSAFE_DISARM = 7
 
 def mode_of(main: int, sub: int) -> Mode | None:
     """The mode of DO_SET_MODE's numbers; PX4 takes a sub mode only for AUTO and POSCTL."""
-    return BY_NUMBERS.get((main, sub if main == 4 else 0))
+    if main == 4:
+        return BY_NUMBERS.get((4, sub))
+    return BY_NUMBERS.get((main, 0))
 
 
 def mode_of_custom(custom_mode: int) -> Mode | None:

@@ -78,6 +78,11 @@ def test_nothing_to_compare_is_an_error(tmp_path):
         compare_logs([synthetic_flight.write(tmp_path / "a.mcap", track=False)])
 
 
+def test_one_log_without_tracking_is_left_out_of_a_comparison_with_a_note(logs, tmp_path):
+    cut_early = synthetic_flight.write(tmp_path / "early.mcap", track=False)
+    assert "early.mcap: not compared, no tracking in it" in compare_logs([logs[0], logs[0], cut_early]).notes
+
+
 def test_compare_prints_json(logs, capsys):
     show_comparison(logs, as_json=True)
     out = json.loads(capsys.readouterr().out)

@@ -70,3 +70,28 @@ def test_never_leaves_its_bounds(first, velocities, thrust):
         estimator.update(k * DT, velocity, 1.0, True)
         assert first / TRUST * 0.999 <= estimator.hover_thrust <= first * TRUST * 1.001
         assert math.isfinite(estimator.deviation)
+
+
+@pytest.mark.parametrize("wrong_by", [0.8, 1.0, 1.25])
+@pytest.mark.parametrize("true", [0.25, 0.5])
+def test_a_lift_off_tells_the_hover_thrust(true, wrong_by):
+    estimator = HoverThrustEstimator(true * wrong_by, 0.07, 15.0)
+    slope = 0.5 * true * wrong_by  # of the thrust setpoint, 1/s
+    sent: list[float] = []
+    velocity = height = rotor = 0.0
+    while height < 0.08:  # stands until the rotors carry it
+        sent.append(0.3 * true + slope * DT * len(sent))
+        acting = sent[max(0, len(sent) - 1 - 7)]
+        rotor += (1.0 - math.exp(-15.0 * DT)) * (acting - rotor)
+        velocity = max(0.0, velocity + DT * 9.81 * (rotor / true - 1.0))
+        height += DT * velocity
+    assert sent[-1] > 1.2 * true  # the thrust is far beyond balance by then
+    estimator.lifted_off(sent[-1], slope, velocity)
+    assert estimator.hover_thrust == pytest.approx(true, rel=0.04)
+
+
+@given(st.floats(0.0, 1.0), st.floats(0.0, 2.0), st.floats(-5.0, 50.0))
+def test_no_lift_off_leaves_the_bounds(thrust, slope, velocity):
+    estimator = HoverThrustEstimator(0.4, 0.07, 15.0)
+    estimator.lifted_off(thrust, slope, velocity)
+    assert 0.4 / TRUST <= estimator.hover_thrust <= 0.4 * TRUST

@@ -141,6 +141,8 @@ def test_lyapunov_function_falls_in_the_ideal_case():
         "dtlannc",
         level,
         K_e=(1.6, 1.6, 1.2),
+        K_U=(0.54, 0.54, 2.8),
+        K_i=(0.44, 0.44, 7.0),
         alpha=1.0,
         kappa=0.02,
         weight_bound=6.0,

@@ -35,6 +35,20 @@ def start_child(path, *options):
     )
 
 
+def announced_times(announced):
+    """Times of the records the child says it logged; the last one may be cut by the kill."""
+    return np.frombuffer(announced[: len(announced) // 8 * 8])
+
+
+def age_of_the_oldest_lost(logged_s, kept_s):
+    """How old the oldest record not in the file was at the kill: what the promise of 0.2 s is about.
+
+    Not the last record's distance from the last one kept: a machine that stood still between the two lost no record.
+    """
+    lost = logged_s[logged_s > kept_s]
+    return float(lost[-1] - lost[0]) if len(lost) else 0.0
+
+
 @pytest.mark.parametrize("option", ["paced", "busy", "slow-sync"])
 def test_sigkill_costs_at_most_a_fifth_of_a_second(tmp_path, option):
     rng = random.Random(f"kill {option}")
@@ -45,15 +59,15 @@ def test_sigkill_costs_at_most_a_fifth_of_a_second(tmp_path, option):
         assert child.stdout.read(8) == bytes(8)  # it is flying
         time.sleep(rng.uniform(0.05, 0.9))
         child.send_signal(signal.SIGKILL)
-        announced = child.communicate()[0]
-        last = (
-            struct.unpack("<d", announced[-(len(announced) % 8) - 8 :][:8])[0] if len(announced) >= 8 else 0.0
-        )
+        logged_s = announced_times(child.communicate()[0])
         record = read_log(path)
         assert record.cut
-        state = record.channels["/state"]
-        assert (np.diff(state.time_s) > 0).all() and (state["position_enu"][:, 0] == state.time_s).all()
-        losses.append(last - state.time_s[-1])
+        state = record.channels.get("/state")  # None: killed before its first flush, so all of it is lost
+        kept_s = -1.0
+        if state is not None:
+            assert (np.diff(state.time_s) > 0).all() and (state["position_enu"][:, 0] == state.time_s).all()
+            kept_s = state.time_s[-1]
+        losses.append(age_of_the_oldest_lost(logged_s, kept_s))
     # the middle one: an overloaded machine may keep the writer thread waiting once, but not every time
     assert sorted(losses)[1] <= 0.2 and max(losses) <= 0.5, losses
 

@@ -19,8 +19,10 @@ from mavlink_wire import (
 )
 
 from companion.autopilot.adapter import VehicleStatus
+from companion.mavlink.framing import is_signed
 from companion.mavlink.link import Link
 from companion.mavlink.protocol import CommandClient, ParameterClient
+from companion.mavlink.signing import Signer
 from companion.mavlink.state import StateAssembler
 
 GROUND_STATION = mav.MAVLink_heartbeat_message(
@@ -57,6 +59,7 @@ def test_nothing_is_believed_before_an_autopilot_heartbeat(wire):
     [
         (255, 190, GROUND_STATION),
         (1, 1, GROUND_STATION),  # a ground station that took an autopilot's numbers
+        (0, 1, heartbeat()),  # 0 means everybody
         (1, 154, heartbeat(mav.MAV_AUTOPILOT_PX4, mav.MAV_TYPE_GIMBAL)),
         (1, 191, heartbeat(mav.MAV_AUTOPILOT_INVALID, mav.MAV_TYPE_ONBOARD_CONTROLLER)),
     ],
@@ -100,6 +103,58 @@ def test_speaks_as_a_component_of_the_vehicle(wire):
     alive = next(m for m in ours if m.get_type() == "HEARTBEAT")
     assert alive.type == mav.MAV_TYPE_ONBOARD_CONTROLLER
     assert alive.autopilot == mav.MAV_AUTOPILOT_INVALID
+
+
+# Commands to the companion ------------------------------------------------------------------------------
+
+
+def command_to(component, system=1, number=mav.MAV_CMD_COMPONENT_ARM_DISARM):
+    return mav.MAVLink_command_long_message(system, component, number, 0, *(1.0,) * 7)
+
+
+def test_commands_to_the_companion_are_refused_and_nothing_else_happens(wire):
+    transport, link, clock, autopilot = wire
+    ground = Sender(255, 190)
+    transport.waiting.append(
+        ground.frame(command_to(191))
+    )  # before there is an autopilot: to whom would we answer?
+    transport.waiting.append(autopilot.frame(heartbeat()))
+    assert kinds(all_messages(link)) == ["HEARTBEAT"] and transport.sent == []
+    for addressed in (command_to(191), command_to(1), command_to(0), command_to(191, system=2)):
+        transport.waiting.append(ground.frame(addressed))
+    transport.waiting.append(
+        ground.frame(mav.MAVLink_command_int_message(1, 191, 0, 246, 0, 0, 1, *(0,) * 6))
+    )
+    assert all_messages(link) == []
+    [answer] = decoded(transport.sent)  # of two commands at once; the others were not for us
+    assert (answer.get_type(), answer.command) == ("COMMAND_ACK", mav.MAV_CMD_COMPONENT_ARM_DISARM)
+    assert answer.result == mav.MAV_RESULT_UNSUPPORTED
+    assert (answer.target_system, answer.target_component) == (255, 190)
+    assert link.counters["commands refused"] == 2
+    clock.advance(0.2)
+    transport.waiting += [ground.frame(command_to(191)) for _ in range(50)]
+    all_messages(link)
+    assert len(transport.sent) == 2
+
+
+def test_an_unsigned_command_is_denied_where_signing_is_on(wire):
+    transport, _, clock, _ = wire
+    link = Link(transport, now_ns=clock, signer=Signer(bytes(range(32))))
+    theirs = Signer(bytes(range(32)))
+    autopilot = Sender()
+    theirs.prepare(autopilot.codec)
+    transport.waiting.append(autopilot.frame(heartbeat()))
+    assert kinds(all_messages(link)) == ["HEARTBEAT"]
+    transport.waiting.append(Sender(255, 190).frame(command_to(191)))
+    assert all_messages(link) == []
+    [answer] = decoded(transport.sent)
+    assert answer.result == mav.MAV_RESULT_DENIED and is_signed(transport.sent[0])
+    ground = Sender(255, 190)
+    theirs.prepare(ground.codec)
+    clock.advance(1.0)
+    transport.waiting.append(ground.frame(command_to(191)))
+    assert all_messages(link) == []
+    assert decoded(transport.sent)[-1].result == mav.MAV_RESULT_UNSUPPORTED
 
 
 # What it counts -----------------------------------------------------------------------------------------

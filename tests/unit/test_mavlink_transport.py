@@ -124,6 +124,36 @@ def test_udp_reads_are_bounded_and_keep_datagrams_apart(udp_in):
     assert got == sent
 
 
+def test_a_strangers_flood_leaves_the_peers_datagrams_their_room(udp_in):
+    """More than the socket's queue holds: without the kernel's filter the peer's last datagram would be lost."""
+    transport, autopilot, address = udp_in
+    autopilot.sendto(b"first", address)
+    assert received(transport, 5) == b"first"
+    transport.believe_sender()
+    with udp_socket() as stranger:
+        for _ in range(20_000):
+            stranger.sendto(b"stranger" * 16, address)
+    autopilot.sendto(b"second", address)
+    assert transport.wait(5.0)
+    assert transport.receive() == [b"second"]
+    assert not transport.wait(0.0)
+
+
+def test_whoever_is_heard_after_the_peers_silence_may_become_the_peer(udp_in, monkeypatch):
+    transport, autopilot, address = udp_in
+    autopilot.sendto(b"first", address)
+    received(transport, 5)
+    transport.believe_sender()
+    monkeypatch.setattr("companion.mavlink.transport.PEER_SILENT_S", 0.0)
+    assert not transport.wait(0.0)  # notices the silence
+    with udp_socket() as moved:
+        moved.sendto(b"here now", address)
+        assert received(transport, 8) == b"here now"
+        transport.believe_sender()
+        assert transport.peer == moved.getsockname()
+    assert "now speaks from" in transport.notices[-1]
+
+
 def test_taken_port_is_one_line_with_a_remedy(udp_in):
     with pytest.raises(UserError, match="another program has this port") as caught:
         open_transport(parse_endpoint(f"udpin:{HERE}:{udp_in[2][1]}"))

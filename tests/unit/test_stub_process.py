@@ -134,6 +134,7 @@ def test_client_comes_back_and_lockstep_resumes() -> None:
         again = LockstepClient(stub)
         again.time_s = 0.0
         again.run(6.0)
+        again.run(again.time_s + 0.5)  # the first answer only ends the real time it came in
         before = again.time_s
         time.sleep(0.4)
         # unanswered, simulated time must not have gone on: lockstep, not the clock
