@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 from sitl_stub.stub_process import watch_parent
 
 if TYPE_CHECKING:
+    from sitl_stub.faults.scenario import Scenario, Target
     from sitl_stub.firmware.autopilot import Autopilot
     from sitl_stub.mavlink.codec import LinkCounters
     from sitl_stub.mavlink.links import Port
@@ -44,6 +45,8 @@ EXAMPLES = """examples:
   sitl-stub --firmware ardupilot               ArduCopter 4.7: a TCP server on 5760, and speaks to udp 14550
   sitl-stub --firmware ardupilot --ready-after 1 --param GUID_OPTIONS=8
   sitl-stub --vehicle px4_sih --estimator gps --wind 4,1.5 --param MC_ROLL_P=6
+  sitl-stub --scenario faults.toml --seed 7    what goes wrong when, from a file (docs/faults.md)
+  sitl-stub --list-faults                      every fault with its parameters, units and defaults
   sitl-stub --port 0 --json                    free ports throughout; the client's endpoint is in the line
 """
 
@@ -122,6 +125,14 @@ def _parser() -> argparse.ArgumentParser:
     pace.add_argument("--duration", type=float, metavar="S", help="stop after this much simulated time")
     pace.add_argument(
         "--exit-on-disarm", action="store_true", help="stop when disarmed after having been armed"
+    )
+    faults = parser.add_argument_group("faults")
+    faults.add_argument("--scenario", metavar="FILE.toml", help="faults and their times")
+    faults.add_argument("--list-faults", action="store_true", help="print every kind of fault, and stop")
+    faults.add_argument(
+        "--control",
+        action="store_true",
+        help='take faults as JSON lines on standard input: {"inject": "link_loss", "for_s": 2}, {"clear": true}',
     )
     parser.add_argument("--json", action="store_true", help="print the ready line and the summary as JSON")
     # The parent says who it is: one that is killed while this starts is no longer to be found out afterwards.
@@ -235,6 +246,33 @@ def _vehicle(options: argparse.Namespace, parameters: dict[str, float]) -> Vehic
     return load_vehicle(options.vehicle, **changes)
 
 
+def _scenario(options: argparse.Namespace, target: Target) -> Scenario | None:
+    """The scenario asked for; None where no fault can ever happen. Raises FaultError."""
+    from sitl_stub.faults.scenario import Scenario, read_scenario
+
+    if options.scenario is not None:
+        return read_scenario(options.scenario, target)
+    return Scenario() if options.control else None
+
+
+def _direct_faults(
+    options: argparse.Namespace,
+    scenario: Scenario | None,
+    target: Target,
+    server: Server,
+    autopilot: Autopilot,
+) -> None:
+    """Let the faults at the autopilot, and whoever injects more at the server."""
+    if scenario is None:
+        return
+    from sitl_stub.faults.control import ControlChannel
+    from sitl_stub.faults.director import FaultDirector
+
+    director = FaultDirector(autopilot, scenario, options.seed)
+    if options.control:
+        server.control = ControlChannel(0, director, target, lambda line: print(line, flush=True))
+
+
 def _build(
     options: argparse.Namespace,
     vehicle: VehicleParameters,
@@ -257,6 +295,11 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command; returns the exit code: 0 done or stopped, 2 wrong arguments."""
     parent = os.getppid()
     options = _parser().parse_args(arguments)
+    if options.list_faults:
+        from sitl_stub.faults.registry import described
+
+        print(described())
+        return 0
     if options.vehicle is None:
         options.vehicle = VEHICLES.get(options.firmware, "qball2")
     stopping = threading.Event()
@@ -280,9 +323,12 @@ def main(arguments: list[str] | None = None) -> int:
     ports: list[Port] = []
     try:
         mean, gust, parameters = _numbers(options)
+        from sitl_stub.faults.scenario import Target
         from sitl_stub.server import Server
 
         vehicle = _vehicle(options, parameters)
+        target = Target(options.firmware, vehicle)
+        scenario = _scenario(options, target)
         ports = open_ports(options)
         server = Server(ports, options.speed, options.lockstep)
         servers.append(server)
@@ -292,6 +338,7 @@ def main(arguments: list[str] | None = None) -> int:
         # a client that had heard a HEARTBEAT would take the silence for a lost link.
         _build(options, vehicle, mean, gust, parameters).step()
         autopilot = _build(options, vehicle, mean, gust, parameters)
+        _direct_faults(options, scenario, target, server, autopilot)
         serving.set()
     except _Stopped:
         for port in ports:
@@ -301,7 +348,8 @@ def main(arguments: list[str] | None = None) -> int:
     except (_Refusal, ValueError) as error:
         for port in ports:
             port.close()
-        print(f"sitl-stub: {error}", file=sys.stderr)
+        for line in str(error).splitlines():
+            print(f"sitl-stub: {line}", file=sys.stderr)
         return 2
 
     def say(text: str) -> None:

@@ -18,6 +18,7 @@ from sitl_stub.mavlink.codec import LAYOUTS, Received
 from sitl_stub.mavlink.links import Link, Port, TcpLink, UdpLink
 
 if TYPE_CHECKING:
+    from sitl_stub.faults.control import ControlChannel
     from sitl_stub.firmware.autopilot import Autopilot
 
 BARRIER_PATIENCE_S = 2.0
@@ -65,12 +66,14 @@ class Server:
         self.flown = False
         self.free_running = False
         """Lockstep given up for now because answers stopped."""
+        self.control: ControlChannel | None = None
+        """Where faults are injected from outside, if anywhere."""
         self._autopilot: Autopilot | None = None
         self._barriers: dict[int, Barrier] = {}
         self._held: list[tuple[Link, Received]] = []
         """Lockstep: messages of clients that had answered for the instant already."""
         self._selector = selectors.DefaultSelector()
-        self._registered: dict[int, Port] = {}
+        self._registered: dict[int, Port | ControlChannel] = {}
         self.wall_start = 0.0
 
     # --- setting up --------------------------------------------------------------------------------------------
@@ -99,7 +102,9 @@ class Server:
         """Bring sockets and links up to date with what the ports have."""
         autopilot = self._autopilot
         assert autopilot is not None
-        wanted: dict[int, tuple[Any, Port]] = {}
+        wanted: dict[int, tuple[Any, Port | ControlChannel]] = {}
+        if self.control is not None and self.control.open:
+            wanted[self.control.fileno()] = (self.control, self.control)
         present: list[Link] = []
         for port in self.ports:
             for one in port.sockets():
@@ -112,10 +117,10 @@ class Server:
             if key.fd not in wanted or wanted[key.fd][0] is not key.fileobj:
                 self._selector.unregister(key.fileobj)
         known = {key.fd for key in self._selector.get_map().values()}
-        for number, (one, port) in wanted.items():
-            self._registered[number] = port
+        for number, (one, owner) in wanted.items():
+            self._registered[number] = owner
             if number not in known:
-                self._selector.register(one, selectors.EVENT_READ, port)
+                self._selector.register(one, selectors.EVENT_READ, owner)
         for link in list(autopilot.links):
             if link not in present:
                 autopilot.detach(link)
@@ -134,6 +139,10 @@ class Server:
         arrived: list[tuple[Link, Received]] = []
         changed = False
         for key, _ in self._selector.select(timeout_s):
+            if self.control is not None and key.data is self.control:
+                self.control.read()
+                changed |= not self.control.open
+                continue
             port: Port = key.data
             before = len(port.links)
             was_open = all(link.open for link in port.links)
@@ -252,7 +261,7 @@ class Server:
                 next_probe = now + START_REPEAT_S
                 for link in links:
                     autopilot.streams.build(link, heartbeat)
-                    self._request_answer(link, self._barriers[id(link)], autopilot.time_us)
+                    self._request_answer(link, self._barriers[id(link)], autopilot.clock_us)
                     probed.add(id(link))
                 self._handle(self._receive(0.002))
                 if any(isinstance(link, UdpLink) and link.refused for link in autopilot.links):
@@ -270,18 +279,18 @@ class Server:
                     barrier.waiting_for_ns = -1
                 return
 
-    def _request_answer(self, link: Link, barrier: Barrier, time_us: int) -> None:
-        barrier.waiting_for_ns = time_us * 1000
-        link.send_frame(_TIMESYNC, (0, time_us * 1000))
+    def _request_answer(self, link: Link, barrier: Barrier, clock_us: int) -> None:
+        barrier.waiting_for_ns = clock_us * 1000
+        link.send_past_faults(_TIMESYNC, (0, clock_us * 1000))
 
     def _request_answers(self, autopilot: Autopilot) -> None:
         for link in autopilot.links:
             barrier = self._barriers[id(link)]
             if barrier.takes_part:
-                self._request_answer(link, barrier, autopilot.time_us)
+                self._request_answer(link, barrier, autopilot.clock_us)
             elif not autopilot.time_us % 1_000_000:
                 # a client that has not answered yet may begin to
-                link.send_frame(_TIMESYNC, (0, autopilot.time_us * 1000))
+                link.send_past_faults(_TIMESYNC, (0, autopilot.clock_us * 1000))
 
     def _wait_for_answers(self, autopilot: Autopilot) -> None:
         deadline = time.monotonic() + BARRIER_PATIENCE_S

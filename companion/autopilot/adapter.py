@@ -61,11 +61,11 @@ class Intent(enum.Enum):
     """Modes the companion asks for, by what they are for."""
 
     EXTERNAL = "external"
-    """The autopilot follows our setpoints: PX4 OFFBOARD, ArduPilot GUIDED."""
+    """The autopilot follows our setpoints: PX4 OFFBOARD, ArduPilot GUIDED or GUIDED_NOGPS."""
     LAND = "land"
     """The autopilot lands where it is."""
     HOLD = "hold"
-    """The autopilot holds its position: PX4 AUTO.LOITER, ArduPilot LOITER needs sticks, so BRAKE."""
+    """The autopilot holds its position: PX4 AUTO.LOITER, ArduPilot BRAKE (LOITER needs sticks), without GPS ALT_HOLD."""
 
 
 @dataclass(slots=True)
@@ -162,6 +162,14 @@ class Adapter(ABC):
         self, parameters: Mapping[str, float], level: ControlLevel, version: tuple[int, int, int]
     ) -> list[Finding]:
         """Judge parameters and firmware version for a flight at `level`."""
+
+    def suited(self, parameters: Mapping[str, float]) -> Adapter:
+        """The adapter for a vehicle with these parameters: this one, or another one of the same autopilot."""
+        return self
+
+    def tilt_limit_deg(self, parameters: Mapping[str, float]) -> float:
+        """Where the autopilot cuts the tilt of our attitude setpoints, °; infinite where it does not."""
+        return math.inf
 
     def not_ready(self, status: VehicleStatus) -> list[str]:
         """Why the autopilot cannot be armed for our mode yet; empty when it can."""

@@ -1,7 +1,13 @@
-"""ArduPilot Copter: GUIDED mode. Facts from ArduCopter 4.7 (docs/autopilots.md says how each was seen)."""
+"""ArduPilot Copter: GUIDED and GUIDED_NOGPS. Facts from ArduCopter 4.7 (docs/autopilots.md says how each was seen).
+
+GUIDED_NOGPS takes the same setpoints with the same meaning of thrust (GUID_OPTIONS) and the same GUID_TIMEOUT. What it does
+not ask for is a GPS and a home, without which GUIDED is not armed. So it is the mode of a vehicle that has no GPS and gets
+its position from poses: our laws need a local position in either mode.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 from companion.autopilot.adapter import Adapter, Finding, Intent, Verdict
@@ -12,7 +18,11 @@ from companion.mavlink.protocol import Command
 THRUST_AS_THRUST = 8
 """Bit 3 of GUID_OPTIONS: SET_ATTITUDE_TARGET's thrust is thrust. Without it, it is a climb rate about 0.5."""
 
+_GPS_TYPE = ("GPS1_TYPE", "GPS_TYPE")
+"""The parameter that says which GPS there is, 0 none; the second name until 4.5."""
+
 _MODES = {Intent.EXTERNAL: 4, Intent.LAND: 9, Intent.HOLD: 17}
+_MODES_NO_GPS = {Intent.EXTERNAL: 20, Intent.LAND: 9, Intent.HOLD: 2}
 _NAMES = {
     0: "STABILIZE", 1: "ACRO", 2: "ALT_HOLD", 3: "AUTO", 4: "GUIDED", 5: "LOITER", 6: "RTL", 7: "CIRCLE", 9: "LAND",
     11: "DRIFT", 13: "SPORT", 14: "FLIP", 15: "AUTOTUNE", 16: "POSHOLD", 17: "BRAKE", 18: "THROW", 20: "GUIDED_NOGPS",
@@ -32,10 +42,11 @@ class ArduPilot(Adapter):
     takes_local_ned_odometry = False
     bytewise_parameters = False
     hover_thrust_parameter = "MOT_THST_HOVER"
+    modes = _MODES
 
     def mode(self, intent: Intent) -> Command:
         """See `Adapter.mode`."""
-        return Command(mav.MAV_CMD_DO_SET_MODE, (1.0, float(_MODES[intent])), f"mode {intent.value}")
+        return Command(mav.MAV_CMD_DO_SET_MODE, (1.0, float(self.modes[intent])), f"mode {intent.value}")
 
     def mode_name(self, custom_mode: int) -> str:
         """See `Adapter.mode_name`."""
@@ -43,7 +54,7 @@ class ArduPilot(Adapter):
 
     def is_mode(self, custom_mode: int, intent: Intent) -> bool:
         """See `Adapter.is_mode`."""
-        return custom_mode == _MODES[intent]
+        return custom_mode == self.modes[intent]
 
     def parameters_needed(self) -> tuple[str, ...]:
         """See `Adapter.parameters_needed`."""
@@ -55,7 +66,20 @@ class ArduPilot(Adapter):
             "MOT_THST_EXPO",
             "ANGLE_MAX",
             "ATC_ANGLE_MAX",
+            *_GPS_TYPE,
         )
+
+    def suited(self, parameters: Mapping[str, float]) -> ArduPilot:
+        """See `Adapter.suited`: without any GPS the one for GUIDED_NOGPS."""
+        types = [parameters[name] for name in _GPS_TYPE if name in parameters]
+        return ArduPilotNoGps() if types and not any(types) else ArduPilot()
+
+    def tilt_limit_deg(self, parameters: Mapping[str, float]) -> float:
+        """See `Adapter.tilt_limit_deg`: ATC_ANGLE_MAX in °, before 4.7 ANGLE_MAX in centidegrees."""
+        newest, older = parameters.get("ATC_ANGLE_MAX"), parameters.get("ANGLE_MAX")
+        if newest is not None:
+            return newest
+        return older / 100.0 if older is not None else math.inf
 
     def check(
         self, parameters: Mapping[str, float], level: ControlLevel, version: tuple[int, int, int]
@@ -137,3 +161,21 @@ class ArduPilot(Adapter):
                 )
             )
         return findings
+
+
+class ArduPilotNoGps(ArduPilot):
+    """ArduPilot on a vehicle without GPS: GUIDED_NOGPS, and ALT_HOLD instead of BRAKE, which needs what GUIDED needs."""
+
+    modes = _MODES_NO_GPS
+
+    def check(
+        self, parameters: Mapping[str, float], level: ControlLevel, version: tuple[int, int, int]
+    ) -> list[Finding]:
+        """See `Adapter.check`."""
+        mode = Finding(
+            Verdict.OK,
+            "mode",
+            "GUIDED_NOGPS",
+            "this vehicle has no GPS (GPS1_TYPE 0); handed back, it holds its height only (ALT_HOLD)",
+        )
+        return [mode, *super().check(parameters, level, version)]

@@ -15,6 +15,7 @@ from companion.config.errors import UserError
 EPILOG = """examples:
   companion check --endpoint /dev/ttyACM0,921600 --profile my_drone.toml
   companion check --endpoint tcp:127.0.0.1:5760 --profile arducopter_sitl --set flight.procedure.ready_timeout_s=5
+  companion check --endpoint tcp:127.0.0.1:5760 --profile arducopter_sitl --fix     for good; fly --fix for one flight
 
 Exit codes: 0 nothing stands in the way (warnings may), 2 a flight would be refused, or wrong input.
 """
@@ -51,7 +52,8 @@ def run(arguments: argparse.Namespace) -> int:
     settings = load_settings(arguments.profile, {"level": arguments.level}, arguments.overrides)
     reporter = ConsoleReporter()
     try:
-        findings = check(settings, connection_from(arguments, arguments.endpoint), reporter, arguments.fix)
+        connection = connection_from(arguments, arguments.endpoint)
+        findings, changed = check(settings, connection, reporter, arguments.fix)
     except FlightEnd as end:
         raise UserError(f"endpoint {arguments.endpoint}: {end}") from None
     refused = any(finding.verdict is Verdict.REFUSAL for finding in findings)
@@ -66,7 +68,9 @@ def run(arguments: argparse.Namespace) -> int:
             }
             for f in findings
         ]
-        print(json.dumps({"flyable": not refused, "findings": rows}, indent=2, ensure_ascii=False))
+        set_now = [{"parameter": name, "before": before, "now": now} for name, before, now in changed]
+        body = {"flyable": not refused, "findings": rows, "changed": set_now}
+        print(json.dumps(body, indent=2, ensure_ascii=False))
         return 2 if refused else 0
     from rich.console import Console
     from rich.table import Table

@@ -70,8 +70,11 @@ def validated(model: type[Model], values: Mapping[str, Any], origin: str) -> Mod
             if error["type"] != "too_short"
             or not any(place[: len(error["loc"])] == error["loc"] != place for place in places)
         ]
-        count = f"{len(lines)} errors" if len(lines) > 1 else "1 error"
-        raise UserError("\n".join([f"{origin}: {count}", *(f"  {line}" for line in lines)])) from None
+        if len(lines) == 1:
+            raise UserError(f"{origin}: {lines[0]}") from None
+        raise UserError(
+            "\n".join([f"{origin}: {len(lines)} errors", *(f"  {line}" for line in lines)])
+        ) from None
 
 
 def _explain(model: type[BaseModel], error: Any) -> str:
@@ -117,7 +120,7 @@ def parse_override(text: str) -> tuple[list[str], Any]:
     """`key=value` as dotted key and TOML value; a bare word is taken as text. Raises UserError."""
     key, sign, value = text.partition("=")
     if not sign or not key.strip():
-        raise UserError(f"--set {text}: write key=value, for example --set limits.tilt_max_deg=30")
+        raise UserError(f"--set {text}: write key=value, for example --set profile.limits.tilt_max_deg=30")
     try:
         parsed = tomllib.loads(f"value = {value.strip()}")["value"]
     except tomllib.TOMLDecodeError:

@@ -179,7 +179,7 @@ class Flight:
         findings = checks.parameter_findings()
         self._loop = self._make_loop(vehicle)
         if self._request.fix:
-            findings = checks.fix(findings)
+            findings = checks.fix(findings, "for this flight")
             for name, before, value in checks.changed:
                 self._recorder.log.event(
                     "parameter", vehicle.link.autopilot_time_s, name=name, before=before, value=value

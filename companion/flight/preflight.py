@@ -98,7 +98,20 @@ class Preflight:
         vehicle, profile = self._vehicle, self._profile
         vehicle.read_parameters(vehicle.adapter.parameters_needed())
         values = vehicle.parameters.values
+        vehicle.adapter = vehicle.adapter.suited(values)
         findings = vehicle.adapter.check(values, self._level, vehicle.version)
+        cut_deg, asked_deg = vehicle.adapter.tilt_limit_deg(values), profile.limits.tilt_max_deg
+        if self._level is ControlLevel.ATTITUDE and cut_deg < asked_deg:
+            findings.append(
+                Finding(
+                    Verdict.WARNING,
+                    "tilt limit",
+                    f"{cut_deg:g}°, profile {profile.name!r} asks for up to {asked_deg:g}°",
+                    "the autopilot cuts our attitude there, and the law does not know",
+                    "set ANGLE_MAX (ATC_ANGLE_MAX) higher, or fly with "
+                    f"--set profile.limits.tilt_max_deg={cut_deg:g}",
+                )
+            )
         hover = values.get(vehicle.adapter.hover_thrust_parameter)
         if hover is not None and abs(hover / profile.hover_thrust - 1.0) > _HOVER_MISMATCH:
             findings.append(
@@ -112,8 +125,8 @@ class Preflight:
             )
         return findings
 
-    def fix(self, findings: list[Finding]) -> list[Finding]:
-        """Set what is safe to set, remember it in `changed`, and judge again."""
+    def fix(self, findings: list[Finding], how_long: str) -> list[Finding]:
+        """Set what is safe to set, say so with `how_long` it stays, remember it in `changed`, and judge again."""
         vehicle = self._vehicle
         for finding in findings:
             if finding.fix is None:
@@ -122,7 +135,7 @@ class Preflight:
             before = vehicle.parameters.values[name]
             if vehicle.set_parameter(name, value):
                 self.changed.append((name, before, value))
-                self._reporter.say(f"set {name} from {before:g} to {value:g} for this flight")
+                self._reporter.say(f"set {name} from {before:g} to {value:g} {how_long}")
         return self.parameter_findings()
 
     def wait_until_ready(self) -> float:

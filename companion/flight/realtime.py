@@ -23,12 +23,13 @@ def prepare() -> list[str]:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIFO_PRIORITY))
     except (OSError, AttributeError):
         refused.append(
-            "no SCHED_FIFO (needs CAP_SYS_NICE or an rtprio limit): other programs can delay setpoints"
+            "no SCHED_FIFO (needs CAP_SYS_NICE or an rtprio limit: scripts/install): other programs can delay setpoints"
         )
     try:
         if ctypes.CDLL(None, use_errno=True).mlockall(_MCL_CURRENT_AND_FUTURE) != 0:
             refused.append(
-                "memory not locked (needs CAP_IPC_LOCK or a memlock limit): a page fault can delay setpoints"
+                "memory not locked (needs CAP_IPC_LOCK or a memlock limit: scripts/install): "
+                "a page fault can delay setpoints"
             )
     except (OSError, AttributeError):
         refused.append("memory not locked: this system has no mlockall")

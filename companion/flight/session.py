@@ -133,8 +133,12 @@ def fly(settings: Settings, options: SessionOptions, reporter: Reporter) -> Flig
             poses.close()
 
 
-def check(settings: Settings, connection: Connection, reporter: Reporter, fix: bool = False) -> list[Finding]:
+def check(
+    settings: Settings, connection: Connection, reporter: Reporter, fix: bool = False
+) -> tuple[list[Finding], list[tuple[str, float, float]]]:
     """Look at everything a flight with these settings depends on; change nothing, unless `fix`.
+
+    Returns the findings, and what was set for good: name, value before, value now.
 
     Raises:
         UserError: nobody there.
@@ -151,11 +155,12 @@ def check(settings: Settings, connection: Connection, reporter: Reporter, fix: b
         preflight.ask_for_streams()
         findings = preflight.parameter_findings()
         if fix:
-            findings = preflight.fix(findings)
+            findings = preflight.fix(findings, "for good")
         with suppress(Refused):  # what is missing then is among the findings
             preflight.wait_until_ready()
         measured = preflight.measure()
-        return [*findings, *preflight.link_findings(measured), *preflight.vehicle_findings()]
+        findings += [*preflight.link_findings(measured), *preflight.vehicle_findings()]
+        return findings, preflight.changed
     finally:
         link.close()
 

@@ -79,6 +79,7 @@ class Vehicle:
                     raise LinkLost(f"nothing heard from the autopilot for {self.silence_limit_s:.1f} s")
                 continue
             self._handle(message)
+            self.link.keep_alive()  # an autopilot that never pauses and asks nothing still hears us
             started_s = started_s or self.link.autopilot_time_s  # 0 until the first time stamp
             if self.link.autopilot_time_s - started_s > timeout_s:
                 raise WaitedTooLong(f"{what or 'the autopilot'}: nothing after {timeout_s:.0f} s")

@@ -84,7 +84,11 @@ def parse_endpoint(text: str) -> Endpoint:
     kind, rest = _SCHEMES[match.group(1).lower()], match.group(2)
     if kind is EndpointKind.SERIAL:
         return _serial(text, rest)
-    host, _, port = rest.rpartition(":")
+    host, colon, port = rest.rpartition(":")
+    if not colon and not port.isdecimal():
+        raise UserError(
+            f"endpoint {text!r}: names no port; use for example {kind.value}:{rest or '127.0.0.1'}:14540"
+        )
     host = host or ("0.0.0.0" if kind in (EndpointKind.UDP_IN, EndpointKind.TCP_SERVER) else "127.0.0.1")
     return Endpoint(kind, host, _number(text, port, "port", 65535))
 

@@ -304,7 +304,8 @@ def _open_serial(endpoint: Endpoint) -> int:
     try:
         port = serial.Serial(endpoint.host, endpoint.number, timeout=0, exclusive=True)
     except serial.SerialException as error:
-        raise OSError(error.errno or errno.EIO, str(error)) from None
+        number = error.errno or errno.EIO
+        raise OSError(number, os.strerror(number) if error.errno else str(error)) from None
     file = os.dup(port.fileno())
     os.set_blocking(file, False)
     # pyserial asks for reads that return at once with nothing; then nothing could not be told from a pulled plug.

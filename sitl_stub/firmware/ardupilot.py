@@ -11,13 +11,15 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from sitl_stub.firmware import ardupilot_layout as at
 from sitl_stub.firmware.ardupilot_boot import Boot, Happenings
 from sitl_stub.firmware.ardupilot_commands import ArduPilotCommands
 from sitl_stub.firmware.ardupilot_core import ArduPilotCore
+from sitl_stub.firmware.ardupilot_failsafes import Failsafes
 from sitl_stub.firmware.ardupilot_flight import Flight
 from sitl_stub.firmware.ardupilot_ground import GroundSense
 from sitl_stub.firmware.ardupilot_guided import Guided
-from sitl_stub.firmware.ardupilot_modes import BY_NUMBER, Mode
+from sitl_stub.firmware.ardupilot_modes import BY_NUMBER, Mode, mode_named
 from sitl_stub.firmware.ardupilot_parameters import ArduPilotParameters
 from sitl_stub.firmware.ardupilot_streams import ArduPilotMessages
 from sitl_stub.firmware.autopilot import Autopilot, Result
@@ -48,6 +50,16 @@ class ArduPilot(Autopilot):
     def __init__(
         self, core: ArduPilotCore, parameters: ArduPilotParameters, ready_after_s: float = 42.0
     ) -> None:
+        self.ready_after_s = ready_after_s
+        self.say_messages = ArduPilotMessages(self)
+        super().__init__(core, parameters)
+        self.power_up()
+        self.protocol = ArduPilotCommands(self)
+        self.commands.update(self.protocol.commands())
+        self.messages.update(self.protocol.messages())
+
+    def power_up(self) -> None:
+        """Everything as it is when the firmware starts."""
         self.mode = Mode.STABILIZE
         self.landed = True
         self.auto_armed = False
@@ -61,18 +73,12 @@ class ArduPilot(Autopilot):
         self._log_until_us = 0
         self._text_number = 0
         self._texts: list[tuple[Link, int, str, int, int]] = []
-        self.core = core
-        self.parameters = parameters
         self.guided = Guided(self)
         self.flight = Flight(self)
         self.ground_sense = GroundSense(self)
-        self.boot = Boot(self, ready_after_s)
+        self.boot = Boot(self, self.ready_after_s)
         self.happenings = Happenings(self)
-        self.say_messages = ArduPilotMessages(self)
-        super().__init__(core, parameters)
-        self.protocol = ArduPilotCommands(self)
-        self.commands.update(self.protocol.commands())
-        self.messages.update(self.protocol.messages())
+        self.failsafes = Failsafes(self)
         self.flight.limit_vertical()
         self.flight.rest_on_ground()
 
@@ -81,6 +87,11 @@ class ArduPilot(Autopilot):
     def armed(self) -> bool:
         """Whether the rotors may turn."""
         return self._armed
+
+    @property
+    def takes_setpoints(self) -> bool:
+        """Whether GUIDED or GUIDED_NOGPS flies."""
+        return self.mode.value.takes_targets
 
     @property
     def in_arming_delay(self) -> bool:
@@ -100,7 +111,7 @@ class ArduPilot(Autopilot):
     @property
     def gps_found(self) -> bool:
         """Whether the receiver has been found."""
-        return self.boot.gps_found
+        return self.has_gps and self.boot.gps_found
 
     @property
     def ekf_started(self) -> bool:
@@ -113,9 +124,14 @@ class ArduPilot(Autopilot):
         return self.boot.ahrs_ready
 
     @property
+    def has_gps(self) -> bool:
+        """Whether there is a receiver (GPS1_TYPE). Without, the position is that of poses from outside, taken as given."""
+        return self.parameters["GPS1_TYPE"] != 0.0
+
+    @property
     def home_known(self) -> bool:
-        """Whether there is a home."""
-        return self.boot.home_known
+        """Whether there is a home; without a GPS nobody sets one."""
+        return self.has_gps and self.boot.home_known
 
     @property
     def logs(self) -> bool:
@@ -191,7 +207,7 @@ class ArduPilot(Autopilot):
 
     def arming_refusals(self) -> list[str]:
         """What stands against arming in the present mode, in ArduPilot's words; empty when nothing does."""
-        refusals = []
+        refusals = ["Motors Emergency Stopped"] if self.killed else []
         if not self.boot.accelerometers_agree:
             refusals.append("Accels inconsistent")
         if self.mode.value.needs_position:
@@ -269,6 +285,38 @@ class ArduPilot(Autopilot):
         self.take_off_done = False
         return True
 
+    # --- the pilot ---------------------------------------------------------------------------------------------
+    def pilot_mode(self, name: str) -> None:
+        """The pilot, sticks centred, switches to the mode of that name."""
+        mode = mode_named(name)
+        if mode is not None and self.request_mode(mode.number) and not self.landed:
+            self.pilot_sticks(0.0, 0.0, 0.0, 0.5)
+
+    @property
+    def mode_name(self) -> str:
+        """Name of the mode that flies."""
+        return self.mode.name
+
+    def pilot_sticks(self, roll: float, pitch: float, yaw: float, throttle: float) -> None:
+        """The pilot moves the sticks: −1..1 (pitch forward positive), throttle 0..1."""
+        sticks = self.flight.sticks
+        sticks.roll, sticks.pitch, sticks.yaw, sticks.throttle = roll, -pitch, yaw, throttle
+
+    @property
+    def sticks_now(self) -> tuple[float, float, float, float]:
+        """Roll, pitch, yaw, throttle as `pilot_sticks` takes them."""
+        sticks = self.flight.sticks
+        return sticks.roll, -sticks.pitch, sticks.yaw, sticks.throttle
+
+    def pilot_disarm(self, forced: bool) -> None:
+        """The pilot disarms; not in the air unless `forced`."""
+        self.request_disarm(forced)
+
+    def estimate_jumped(self, jump_ned: tuple[float, float, float], yaw_rad: float) -> None:
+        """The estimator has been reset: the position controllers take what they want along."""
+        north, east, down = jump_ned
+        self.core.memory[at.DESIRED_POSITION : at.DESIRED_POSITION + 3] += (north, east, -down)
+
     # --- the loop ----------------------------------------------------------------------------------------------
     def run_logic(self) -> None:
         """Everything that happens a hundred times a second."""
@@ -278,8 +326,9 @@ class ArduPilot(Autopilot):
         if self.time_us % 1_000_000 == PREARM_PHASE_US:
             self.prearm_good = self._armed or not self.arming_refusals()
         if self.time_us % TIMESYNC_EVERY_US == 0 and not self.lockstep:
-            self.broadcast("TIMESYNC", tc1=0, ts1=self.time_us * 1000 + 1)
+            self.broadcast("TIMESYNC", tc1=0, ts1=self.clock_us * 1000 + 1)
         self._disarm_when_idle()
+        self.failsafes.update()
         self.happenings.update()
 
     def _disarm_when_idle(self) -> None:

@@ -59,7 +59,7 @@ class Boot:
         self._next_report_us = FIRST_REPORT_US
 
     def _past(self, captured_s: float) -> bool:
-        return self.autopilot.time_us >= captured_s * self.scale * 1e6
+        return self.autopilot.uptime_us >= captured_s * self.scale * 1e6
 
     @property
     def ekf_started(self) -> bool:
@@ -95,14 +95,15 @@ class Boot:
         """Say what is due; every 31 s what still stands against arming."""
         a = self.autopilot
         while self._said < len(SAYINGS) and self._past(SAYINGS[self._said][0]):
-            a.say(INFO, SAYINGS[self._said][1])
+            if a.has_gps or "GPS" not in SAYINGS[self._said][1]:
+                a.say(INFO, SAYINGS[self._said][1])
             self._said += 1
         if not self._home_told and self.home_known:
             self._home_told = True
             for link in a.links:
                 a.streams.build(link, 49)
                 a.streams.build(link, 242)
-        if a.time_us >= self._next_report_us:
+        if a.uptime_us >= self._next_report_us:
             self._next_report_us += REPORTS_EVERY_US
             if not a.armed:
                 for refusal in a.arming_refusals():

@@ -38,14 +38,20 @@ class ArduPilotCore(VehicleCore):
     ) -> None:
         super().__init__(vehicle, CONTROL_PERIOD_US, estimator, seed, wind_ned_m_s, gust_speed_m_s)
         self.setpoint = np.zeros(at.SETPOINT_SIZE)
-        self.setpoint[at.QUATERNION] = 1.0
         self.memory = np.zeros(at.MEMORY_SIZE)
-        self.memory[at.TARGET] = 1.0
-        self.memory[at.RPY_MIX] = 0.1
+        self.reset_controllers()
         self.factors = motor_factors(vehicle)
         self.gains = at.gains_from_parameters(parameters)
         self._place = np.zeros(3)
         self._speed = np.zeros(3)
+
+    def reset_controllers(self) -> None:
+        """Setpoints and memory of the controllers as at boot: rotors at rest."""
+        self.setpoint[:] = 0.0
+        self.setpoint[at.QUATERNION] = 1.0
+        self.memory[:] = 0.0
+        self.memory[at.TARGET] = 1.0
+        self.memory[at.RPY_MIX] = 0.1
 
     def use_parameters(self, parameters: Mapping[str, float]) -> None:
         """Take changed controller parameters into the running loops."""

@@ -235,7 +235,7 @@ class Flight:
             self._stay()
         else:
             self._hold_with_sticks()
-        if a.in_arming_delay or not a.armed:
+        if a.in_arming_delay or not a.armed or a.killed:
             a.core.setpoint[at.SPOOL] = at.SPOOL_SHUT_DOWN
 
     def _limit_for_pilot(self) -> None:

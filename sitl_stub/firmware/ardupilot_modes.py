@@ -54,4 +54,20 @@ class Mode(Enum):
         return self.value.number
 
 
+BY_WORD = {
+    "position": Mode.LOITER,
+    "altitude": Mode.ALT_HOLD,
+    "manual": Mode.STABILIZE,
+    "hold": Mode.BRAKE,
+    "return": Mode.RTL,
+    "land": Mode.LAND,
+}
+"""What both firmwares have under names of their own."""
+
+
+def mode_named(name: str) -> Mode | None:
+    """The mode of ArduCopter's own name (`ALT_HOLD`) or of a word both firmwares know (`altitude`)."""
+    return BY_WORD.get(name.lower()) or Mode.__members__.get(name.upper())
+
+
 BY_NUMBER: dict[int, Mode] = {mode.number: mode for mode in Mode}

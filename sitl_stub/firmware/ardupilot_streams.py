@@ -182,7 +182,8 @@ class ArduPilotMessages:
         a = self.autopilot
         present, enabled, health = PRESENT, ENABLED, HEALTHY
         if a.gps_found:
-            present, enabled, health = present | GPS_BIT, enabled | GPS_BIT, health | GPS_BIT
+            present, enabled = present | GPS_BIT, enabled | GPS_BIT
+            health |= GPS_BIT if a.core.position_aided else 0
         for bit, on in (
             (HEIGHT_CONTROL_BIT, self.height_controlled),
             (PLACE_CONTROL_BIT, self.place_controlled),
@@ -232,7 +233,7 @@ class ArduPilotMessages:
         used_mah = round(float(state[body.CHARGE_USED]) / 3.6)
         current = _int16(100.0 * self._current())
         head = (used_mah, 0, 32767, *voltages, current, 0, 0, 0, self._battery_percent())
-        return (*head, 0, 1, 0, 0, 0, 0, 0, 0)
+        return (*head, 0, int(self.autopilot.failsafes.battery), 0, 0, 0, 0, 0, 0)
 
     def power_status(self, link: Link) -> Values:
         """POWER_STATUS of a simulated board."""
@@ -257,7 +258,7 @@ class ArduPilotMessages:
 
     def system_time(self, link: Link) -> Values:
         """SYSTEM_TIME: no Unix time before the receiver has one."""
-        now = self.autopilot.time_us
+        now = self.autopilot.clock_us
         return (SIMULATED_EPOCH_US + now if self.autopilot.gps_found else 0, now // 1000)
 
     def ekf_status_report(self, link: Link) -> Values:
@@ -272,7 +273,7 @@ class ArduPilotMessages:
         """VIBRATION: the accelerometer noise of the preset."""
         a = self.autopilot
         sd = a.core.estimator.preset.accelerometer_sd_thrusting if a.armed else (0.0, 0.0, 0.0)
-        return (a.time_us, *(float(value) for value in sd), 0, 0, 0)
+        return (a.clock_us, *(float(value) for value in sd), 0, 0, 0)
 
     def mission_current(self, link: Link) -> Values:
         """MISSION_CURRENT: there is no mission."""
@@ -296,7 +297,7 @@ class ArduPilotMessages:
         x, y, z = (float(value) for value in a.home_ned)
         latitude, longitude = self.origin.globe_e7(x, y)
         altitude_mm = round(self.altitude_of(z) * 1000)
-        return (latitude, longitude, altitude_mm, x, y, z, NAN, NAN, NAN, NAN, 0.0, 0.0, 0.0, a.time_us)
+        return (latitude, longitude, altitude_mm, x, y, z, NAN, NAN, NAN, NAN, 0.0, 0.0, 0.0, a.clock_us)
 
     def gps_global_origin(self, link: Link) -> Values | None:
         """GPS_GLOBAL_ORIGIN: where local (0, 0, 0) is, once known."""
@@ -304,27 +305,27 @@ class ArduPilotMessages:
         if not self.autopilot.home_known:
             return None
         place = (round(o.latitude_deg * 1e7), round(o.longitude_deg * 1e7), round(o.altitude_m * 1000))
-        return (*place, self.autopilot.time_us)
+        return (*place, self.autopilot.clock_us)
 
     def local_position_ned(self, link: Link) -> Values | None:
         """LOCAL_POSITION_NED, once and as long as there is a position."""
         core = self.autopilot.core
         if not self.autopilot.position_known:
             return None
-        return (core.time_us // 1000, *core.position_ned.tolist(), *core.velocity_ned.tolist())
+        return (self.autopilot.clock_us // 1000, *core.position_ned.tolist(), *core.velocity_ned.tolist())
 
     def global_position_int(self, link: Link) -> Values:
         """GLOBAL_POSITION_INT; zeros before there is a home."""
         a = self.autopilot
         heading = round(math.degrees(a.core.yaw) % 360.0 * 100) % 36000
         if not a.home_known:
-            return (a.time_us // 1000, 0, 0, 0, 0, 0, 0, 0, heading)
+            return (a.clock_us // 1000, 0, 0, 0, 0, 0, 0, 0, heading)
         x, y, z = a.core.position_ned.tolist()
         vx, vy, vz = (_int16(100.0 * value) for value in a.core.velocity_ned.tolist())
         latitude, longitude = self.origin.globe_e7(x, y)
         above_home = round((float(a.home_ned[2]) - z) * 1000)
         altitude = round(self.altitude_of(z) * 1000)
-        return (a.time_us // 1000, latitude, longitude, altitude, above_home, vx, vy, vz, heading)
+        return (a.clock_us // 1000, latitude, longitude, altitude, above_home, vx, vy, vz, heading)
 
     def gps_raw_int(self, link: Link) -> Values:
         """GPS_RAW_INT: a simulated receiver, found some seconds after boot."""
@@ -337,16 +338,17 @@ class ArduPilotMessages:
         altitude = round(self.altitude_of(z) * 1000)
         course = round(math.degrees(math.atan2(vy, vx)) % 360.0 * 100) % 36000
         speed = min(round(100.0 * math.hypot(vx, vy)), 65534)
-        head = (a.time_us, latitude, longitude, altitude, 121, 200, speed, course, 6, 10)
+        fix, satellites = (6, 10) if a.core.position_aided else (1, 0)
+        head = (a.clock_us, latitude, longitude, altitude, 121, 200, speed, course, fix, satellites)
         return (*head, altitude, 300, 300, 40, 0, 0)
 
     def scaled_pressure(self, link: Link) -> Values:
         """SCALED_PRESSURE of the standard atmosphere."""
-        return (self.autopilot.time_us // 1000, self._pressure_hpa(), 0.0, 3500, 0)
+        return (self.autopilot.clock_us // 1000, self._pressure_hpa(), 0.0, 3500, 0)
 
     def _pressure_hpa(self) -> float:
         altitude = self.altitude_of(float(self.autopilot.core.position_ned[2]))
-        return 1013.25 * float((1.0 - 2.25577e-5 * altitude) ** 5.25588)
+        return 1013.25 * float(max(1.0 - 2.25577e-5 * altitude, 0.0) ** 5.25588)
 
     def vfr_hud(self, link: Link) -> Values:
         """VFR_HUD."""
@@ -365,7 +367,7 @@ class ArduPilotMessages:
         roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
         pitch = math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0))
         yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-        return (core.time_us // 1000, roll, pitch, yaw, *self._gyro())
+        return (self.autopilot.clock_us // 1000, roll, pitch, yaw, *self._gyro())
 
     def _gyro(self) -> list[float]:
         """Body rates as ArduPilot reports them: after INS_GYRO_FILTER."""
@@ -375,14 +377,25 @@ class ArduPilotMessages:
     def attitude_quaternion(self, link: Link) -> Values:
         """ATTITUDE_QUATERNION."""
         core = self.autopilot.core
-        return (core.time_us // 1000, *core.quaternion.tolist(), *self._gyro(), 0.0, 0.0, 0.0, 0.0)
+        return (self.autopilot.clock_us // 1000, *core.quaternion.tolist(), *self._gyro(), 0.0, 0.0, 0.0, 0.0)
 
     def highres_imu(self, link: Link) -> Values:
         """HIGHRES_IMU."""
         core = self.autopilot.core
         force = core.specific_force_frd.tolist()
         field = (232173.19, 52737.5, -528911.69)
-        return (core.time_us, *force, *self._gyro(), *field, self._pressure_hpa(), 0.0, 0.0, 26.5, 0, 0)
+        return (
+            self.autopilot.clock_us,
+            *force,
+            *self._gyro(),
+            *field,
+            self._pressure_hpa(),
+            0.0,
+            0.0,
+            26.5,
+            0,
+            0,
+        )
 
     def sim_state(self, link: Link) -> Values:
         """SIM_STATE: the truth, without a time stamp. Latitude and longitude resolve 1.1 cm in their integer fields."""
@@ -417,7 +430,7 @@ class ArduPilotMessages:
         a = self.autopilot
         thrust = float(a.core.memory[at.THROTTLE_IN])
         return (
-            a.time_us // 1000,
+            a.clock_us // 1000,
             *a.core.target_quaternion.tolist(),
             *a.core.target_rates.tolist(),
             thrust,
@@ -447,7 +460,7 @@ class ArduPilotMessages:
         else:
             mask |= 0b111000000
         vectors = [number for n, e, up in (position, velocity, acceleration) for number in (n, e, -up)]
-        return (a.time_us // 1000, *vectors, 0.0, 0.0, mask, 1)
+        return (a.clock_us // 1000, *vectors, 0.0, 0.0, mask, 1)
 
     def position_target_global_int(self, link: Link) -> Values | None:
         """POSITION_TARGET_GLOBAL_INT while a place is flown to."""
@@ -459,7 +472,7 @@ class ArduPilotMessages:
         latitude, longitude = self.origin.globe_e7(*far)
         altitude = self.origin.altitude_m + float(s[at.POSITION + 2])
         zeros = (0.0,) * 8
-        return (a.time_us // 1000, latitude, longitude, altitude, *zeros, 0xFDF8, 0)
+        return (a.clock_us // 1000, latitude, longitude, altitude, *zeros, 0xFDF8, 0)
 
     def servo_output_raw(self, link: Link) -> Values:
         """SERVO_OUTPUT_RAW: MOT_PWM_MIN..MAX in µs; unused outputs are zero."""
@@ -471,7 +484,7 @@ class ArduPilotMessages:
             core.memory[at.ACTUATORS : at.ACTUATORS + core.vehicle.rotor_count].tolist()
         ):
             outputs[i] = round(least + (most - least) * value)
-        return (a.time_us & 0xFFFFFFFF, *outputs[:8], 0, *outputs[8:])
+        return (a.clock_us & 0xFFFFFFFF, *outputs[:8], 0, *outputs[8:])
 
     def rc_channels(self, link: Link) -> Values:
         """RC_CHANNELS: eight channels; the throttle is down unless somebody moves it."""
@@ -483,7 +496,7 @@ class ArduPilotMessages:
             round(1000 + 1000 * sticks.throttle),
             round(1500 + 500 * sticks.yaw),
         ]
-        return (a.time_us // 1000, *first, 1800, 1000, 1000, 1800, *([0] * 10), 8, 255)
+        return (a.clock_us // 1000, *first, 1800, 1000, 1000, 1800, *([0] * 10), 8, 255)
 
     # --- on request --------------------------------------------------------------------------------------------
     def autopilot_version(self, link: Link) -> Values:

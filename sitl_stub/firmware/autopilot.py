@@ -12,20 +12,28 @@ import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sitl_stub.firmware.parameters import INT32, ParameterError, ParameterTable
 from sitl_stub.firmware.streams import Builder, LinkStreams, StreamTable
 from sitl_stub.firmware.vehicle_core import VehicleCore
 from sitl_stub.mavlink.codec import LAYOUTS, Received
 from sitl_stub.mavlink.links import Link
+from sitl_stub.physics import vehicle as body
+
+if TYPE_CHECKING:
+    from sitl_stub.faults.director import FaultDirector
 
 LOGIC_PERIOD_US = 10_000
 PARAMETERS_PER_INSTANT = 10
+LATEST_CLOCK_US = (2**32 - 1) * 1000
+"""What `time_boot_ms` can hold."""
 REFUSED_PROBE_US = 500_000
 LONGEST_INTERVAL_US = 2.0**31 - 1.0
 """What MESSAGE_INTERVAL can tell."""
 UINT32 = 5
+AIRBORNE_ABOVE_M = 0.05
+"""Truth, for what comes after take-off."""
 SIMULATED_EPOCH_US = 1_795_335_292_521_929
 """Unix time of boot, µs: that of the PX4 capture. Fixed, so that SYSTEM_TIME repeats."""
 
@@ -90,8 +98,16 @@ class Autopilot:
         """Simulated time of the last HEARTBEAT by sender (system, component), µs."""
         self.on_text: Callable[[str], None] = lambda text: None
         """Called with every notable event in words (the command line prints them)."""
+        self.booted_us = 0
+        """When the firmware last started: later than now while it is restarting."""
+        self.killed = False
+        """The pilot's kill switch: rotors stopped though armed."""
+        self._clock_errors_us: dict[object, int] = {}
+        self._clock_offset_us = 0
         self.lockstep = False
         """Set by the server: TIMESYNC requests are then its business."""
+        self.faults: FaultDirector | None = None
+        """What is to go wrong; it puts itself here."""
         self._parameter_changes = parameters.changes
         self.commands: dict[int, CommandHandler] = {
             410: self._ignore_command,
@@ -133,6 +149,18 @@ class Autopilot:
         """Whether the rotors may turn."""
         raise NotImplementedError
 
+    @property
+    def takes_setpoints(self) -> bool:
+        """Whether it is in a mode that flies what a companion sends."""
+        raise NotImplementedError
+
+    @property
+    def airborne(self) -> bool:
+        """Whether the feet are off the ground in truth."""
+        core = self.core
+        clearance = float(core.environment[body.GROUND_DOWN] - core.state[body.POSITION + 2])
+        return clearance - core.vehicle.foot_height_m > AIRBORNE_ABOVE_M
+
     # --- time --------------------------------------------------------------------------------------------------
     @property
     def time_us(self) -> int:
@@ -140,19 +168,54 @@ class Autopilot:
         return self.core.time_us
 
     @property
+    def uptime_us(self) -> int:
+        """Simulated time since the firmware last started; negative while it is restarting."""
+        return self.core.time_us - self.booted_us
+
+    @property
+    def clock_us(self) -> int:
+        """The autopilot's own clock, which goes into every time stamp: `uptime_us` unless a fault puts it wrong."""
+        return min(max(self.uptime_us + self._clock_offset_us, 0), LATEST_CLOCK_US)
+
+    def put_clock_wrong(self, cause: object, by_us: int) -> None:
+        """Let `cause` shift the clock by so much; 0 takes its share back."""
+        self._clock_errors_us[cause] = by_us
+        self._clock_offset_us = sum(self._clock_errors_us.values())
+
+    @property
     def next_instant_us(self) -> int:
-        """The next instant at which logic runs or messages may be due."""
+        """The next instant at which logic runs, messages may be due or a fault has something to do."""
         now = self.core.time_us
         loop = self.streams.loop_period_us
-        return min((now // loop + 1) * loop, (now // LOGIC_PERIOD_US + 1) * LOGIC_PERIOD_US)
+        instant = min((now // loop + 1) * loop, (now // LOGIC_PERIOD_US + 1) * LOGIC_PERIOD_US)
+        return instant if self.faults is None else self.faults.next_instant_us(instant)
+
+    def whole_period_us(self, time_us: int) -> int:
+        """The first whole control period not before `time_us`."""
+        period = self.core.control_period_us
+        return -(-time_us // period) * period
+
+    @property
+    def next_period_us(self) -> int:
+        """The end of the control period that begins now."""
+        return self.core.time_us + self.core.control_period_us
 
     def step(self) -> int:
         """Go on to the next instant, run what is due there and send; returns the number of messages sent."""
         instant = self.next_instant_us
         self.core.advance_to(instant)
+        sent = 0
+        if self.uptime_us < 0:
+            return 0 if self.faults is None else self.faults.run()
+        if self.faults is not None:
+            sent = self.faults.run()
+            if instant % LOGIC_PERIOD_US and instant % self.streams.loop_period_us:
+                return sent  # an instant of the faults alone
+            if self.uptime_us < 0:
+                return sent  # one of them has just restarted it
         if instant % LOGIC_PERIOD_US == 0:
             self.run_logic()
-        return self.send_due()
+        return sent + self.send_due()
 
     def advance_to(self, time_us: int) -> None:
         """Run every instant up to `time_us` and the loops up to it (whole control periods)."""
@@ -173,6 +236,53 @@ class Autopilot:
                 sent += self._send_waiting_parameters(link, streams)
         return sent
 
+    # --- what happens to it --------------------------------------------------------------------------------------
+    def restart(self, silent_s: float) -> None:
+        """Start the firmware anew, in flight or not: rotors stop, its time begins at 0 after `silent_s` of silence.
+
+        Parameters are kept, modes, setpoints, home and the intervals clients asked for are not.
+        """
+        self.booted_us = self.core.time_us + self.whole_period_us(round(silent_s * 1e6))
+        self._clock_errors_us.clear()
+        self._clock_offset_us = 0
+        self.heartbeats.clear()
+        self.core.reset_controllers()
+        for link in self.links:
+            link.writer.sequence = 0
+            self.streams.close(link)
+            link.firmware_data = self.streams.open(link, self.booted_us)
+        self.power_up()
+
+    def power_up(self) -> None:
+        """Everything as it is when the firmware starts."""
+        raise NotImplementedError
+
+    def pilot_mode(self, name: str) -> None:
+        """The pilot, sticks centred, switches to the mode of that name (see `mode_named`)."""
+        raise NotImplementedError
+
+    @property
+    def mode_name(self) -> str:
+        """Name of the mode that flies."""
+        raise NotImplementedError
+
+    def pilot_sticks(self, roll: float, pitch: float, yaw: float, throttle: float) -> None:
+        """The pilot moves the sticks: −1..1 (pitch forward positive), throttle 0..1."""
+        raise NotImplementedError
+
+    @property
+    def sticks_now(self) -> tuple[float, float, float, float]:
+        """Roll, pitch, yaw, throttle as `pilot_sticks` takes them."""
+        raise NotImplementedError
+
+    def pilot_disarm(self, forced: bool) -> None:
+        """The pilot disarms; not in the air unless `forced`."""
+        raise NotImplementedError
+
+    def estimate_jumped(self, jump_ned: tuple[float, float, float], yaw_rad: float) -> None:
+        """The estimator has been reset: own modes take their setpoints along, so that the vehicle stays where it is."""
+        raise NotImplementedError
+
     # --- links -------------------------------------------------------------------------------------------------
     def attach(self, link: Link) -> None:
         """Take a client on."""
@@ -180,6 +290,8 @@ class Autopilot:
         link.writer.component = self.component_id
         self.links.append(link)
         link.firmware_data = self.streams.open(link, self.time_us)
+        if self.faults is not None:
+            self.faults.frames.take_on(link)
         self.link_opened(link)
 
     def detach(self, link: Link) -> None:
@@ -187,6 +299,8 @@ class Autopilot:
         if link in self.links:
             self.links.remove(link)
             self.streams.close(link)
+            if self.faults is not None:
+                self.faults.frames.let_go(link)
 
     def broadcast(self, name: str, **fields: Any) -> None:
         """Send one message to every client."""
@@ -199,8 +313,17 @@ class Autopilot:
         self.broadcast("STATUSTEXT", severity=severity, text=text[:50])
 
     def handle(self, link: Link, message: Received) -> None:
-        """Take in one message of a client at the present instant."""
+        """A message of a client has come at the present instant: faults of the link may lose, delay or damage it."""
         link.last_heard_us = self.time_us
+        if self.faults is None:
+            self.take_in(link, message)
+        else:
+            self.faults.frames.take_in(link, message)
+
+    def take_in(self, link: Link, message: Received) -> None:
+        """Take in one message of a client; while the firmware is starting nobody listens."""
+        if self.uptime_us < 0:
+            return
         link.writer.version = message.mavlink_version
         handler = self.messages.get(message.name)
         if handler is None:
@@ -348,7 +471,7 @@ class Autopilot:
     # --- time and the rest -------------------------------------------------------------------------------------
     def _timesync(self, link: Link, message: Received) -> None:
         if message.values["tc1"] == 0:
-            link.send("TIMESYNC", tc1=self.time_us * 1000, ts1=message.values["ts1"])
+            link.send("TIMESYNC", tc1=self.clock_us * 1000, ts1=message.values["ts1"])
 
     def _ping(self, link: Link, message: Received) -> None:
         v = message.values

@@ -41,9 +41,8 @@ class FlightCore(VehicleCore):
     ) -> None:
         super().__init__(vehicle, CONTROL_PERIOD_US, estimator, seed, wind_ned_m_s, gust_speed_m_s)
         self.setpoint = np.zeros(at.SETPOINT_SIZE)
-        self.setpoint[at.QUATERNION] = 1.0
         self.memory = np.zeros(at.MEMORY_SIZE)
-        self.memory[at.OUT_QUATERNION] = 1.0
+        self.reset_controllers()
         self.mixer = mixer_matrix(vehicle, count_all_rotors)
         self.columns = transposed(self.mixer)
         self.full_torque = full_torque_newton_metre(vehicle, self.mixer)
@@ -55,6 +54,13 @@ class FlightCore(VehicleCore):
         self.gains = at.gains_from_parameters(parameters, self.torque_scale)
         self.scratch = np.zeros(8)
         self.integrate = False
+
+    def reset_controllers(self) -> None:
+        """Setpoints and memory of the controllers as at boot: rotors at rest."""
+        self.setpoint[:] = 0.0
+        self.setpoint[at.QUATERNION] = 1.0
+        self.memory[:] = 0.0
+        self.memory[at.OUT_QUATERNION] = 1.0
 
     def use_parameters(self, parameters: Mapping[str, float]) -> None:
         """Take changed controller parameters into the running loops."""

@@ -27,7 +27,7 @@ from sitl_stub.firmware.land_detector import LandDetector
 from sitl_stub.firmware.parameters import ParameterTable
 from sitl_stub.firmware.px4_commander import FORCE_MAGIC, Commander
 from sitl_stub.firmware.px4_events import Event
-from sitl_stub.firmware.px4_modes import Mode, mode_of, mode_of_custom
+from sitl_stub.firmware.px4_modes import Mode, mode_named, mode_of, mode_of_custom
 from sitl_stub.firmware.px4_navigator import FULL_STICK, Navigator
 from sitl_stub.firmware.px4_offboard import OffboardKind, OffboardSetpoint
 from sitl_stub.firmware.px4_streams import Px4Messages
@@ -77,21 +77,9 @@ class Px4(Autopilot):
         self.ready_after_us = int(ready_after_s * 1e6)
         self.estimator_after_us = int(0.75 * self.ready_after_us)
         self.home_after_us = int(0.55 * self.ready_after_us)
-        self.home_ned = np.zeros(3)
-        self.home_quaternion = (1.0, 0.0, 0.0, 0.0)
-        self.home_set_us = 0
-        self.armed_at_us = 0
-        self.event_sequence = 0xFFF9
-        self._latched_kind = OffboardKind.NONE
-        self._latched_us = 0
-        self._latched_state: tuple[bool, Mode] = (False, Mode.LOITER)
-        self.land_detector = LandDetector()
-        self.offboard = OffboardSetpoint(version.takes_actuator_controls)
         self.say_messages = Px4Messages(self)
         super().__init__(core, parameters)
-        self.navigator = Navigator(self)
-        self.commander = Commander(self)
-        self.navigator.enter(Mode.LOITER)
+        self.power_up()
         self.commands.update(
             {
                 20: lambda link, command: self._mode_command(Mode.RTL),
@@ -117,6 +105,22 @@ class Px4(Autopilot):
             }
         )
 
+    def power_up(self) -> None:
+        """Everything as it is when the firmware starts."""
+        self.home_ned = np.zeros(3)
+        self.home_quaternion = (1.0, 0.0, 0.0, 0.0)
+        self.home_set_us = 0
+        self.armed_at_us = 0
+        self.event_sequence = 0xFFF9
+        self._latched_kind = OffboardKind.NONE
+        self._latched_us = 0
+        self._latched_state: tuple[bool, Mode] = (False, Mode.LOITER)
+        self.land_detector = LandDetector()
+        self.offboard = OffboardSetpoint(self.version.takes_actuator_controls)
+        self.navigator = Navigator(self)
+        self.commander = Commander(self)
+        self.navigator.enter(Mode.LOITER)
+
     # --- state -------------------------------------------------------------------------------------------------
     @property
     def armed(self) -> bool:
@@ -124,26 +128,31 @@ class Px4(Autopilot):
         return self.commander.armed
 
     @property
+    def takes_setpoints(self) -> bool:
+        """Whether OFFBOARD flies."""
+        return self.commander.mode is Mode.OFFBOARD
+
+    @property
     def estimator_ready(self) -> bool:
         """Whether the estimate has converged."""
-        return self.time_us >= self.estimator_after_us
+        return self.uptime_us >= self.estimator_after_us
 
     @property
     def system_ready(self) -> bool:
         """Whether everything but the mode's own needs is there for arming."""
-        return self.time_us >= self.ready_after_us and bool(self.core.estimate[18] > 0.0)
+        return self.uptime_us >= self.ready_after_us and bool(self.core.estimate[18] > 0.0)
 
     @property
     def home_known(self) -> bool:
         """Whether HOME_POSITION has been set."""
-        return self.time_us >= self.home_after_us
+        return self.uptime_us >= self.home_after_us
 
     def set_home_here(self) -> None:
         """Home is where the vehicle is (PX4 sets it on arming)."""
         self.home_ned = np.array(self.core.position_ned)
         w, x, y, z = (float(value) for value in self.core.quaternion)
         self.home_quaternion = (w, x, y, z)
-        self.home_set_us = self.time_us
+        self.home_set_us = self.clock_us
 
     def announce(self, severity: int, text: str, event: Event | None = None) -> None:
         """Tell clients what happened: as EVENT where the release does that, else as STATUSTEXT."""
@@ -157,7 +166,7 @@ class Px4(Autopilot):
         self.broadcast(
             "EVENT",
             id=event.number,
-            event_time_boot_ms=self.time_us // 1000,
+            event_time_boot_ms=self.clock_us // 1000,
             sequence=self.event_sequence,
             log_levels=event.log_levels,
             arguments=event.arguments,
@@ -175,7 +184,7 @@ class Px4(Autopilot):
         commander.update()
         latched = self._latch_offboard_kind()
         core.integrate = commander.armed and not self.land_detector.landed
-        if not commander.armed:
+        if not commander.armed or self.killed:
             core.idle()
         elif commander.mode is Mode.OFFBOARD:
             if latched:
@@ -203,7 +212,7 @@ class Px4(Autopilot):
         return self._latched_kind not in (OffboardKind.NONE, OffboardKind.RATES, OffboardKind.ACTUATORS)
 
     def _apply_offboard(self) -> None:
-        if not (self.commander.armed and self.commander.mode is Mode.OFFBOARD):
+        if not (self.commander.armed and self.commander.mode is Mode.OFFBOARD) or self.killed:
             return
         packed, setpoint = self.offboard.packed, self.core.setpoint
         if (
@@ -245,6 +254,46 @@ class Px4(Autopilot):
     def accepts_joystick(self) -> bool:
         """COM_RC_IN_MODE: 0 takes radio sticks only, 4 none; the rest take MANUAL_CONTROL."""
         return int(self.parameters["COM_RC_IN_MODE"]) not in (0, 4)
+
+    # --- the pilot ---------------------------------------------------------------------------------------------
+    def pilot_mode(self, name: str) -> None:
+        """The pilot, sticks centred, switches to the mode of that name."""
+        self._hold_sticks(0.0, 0.0, 0.0, 0.5)
+        self.commander.request_mode(mode_named(name))
+
+    @property
+    def mode_name(self) -> str:
+        """Name of the mode that flies."""
+        return self.commander.mode.name
+
+    def pilot_sticks(self, roll: float, pitch: float, yaw: float, throttle: float) -> None:
+        """The pilot moves the sticks: −1..1 (pitch forward positive), throttle 0..1."""
+        before, after = self.sticks_now, (roll, pitch, yaw, throttle)
+        scale = (1.0, 1.0, 1.0, 2.0)
+        moved = max(abs(b - a) * s for a, b, s in zip(before, after, scale, strict=True))
+        self._hold_sticks(*after)
+        self.commander.override_by_sticks(moved)
+
+    def _hold_sticks(self, roll: float, pitch: float, yaw: float, throttle: float) -> None:
+        sticks = self.navigator.sticks
+        sticks.roll, sticks.pitch, sticks.yaw, sticks.throttle = roll, pitch, yaw, throttle
+        sticks.radio = True
+
+    @property
+    def sticks_now(self) -> tuple[float, float, float, float]:
+        """Roll, pitch, yaw, throttle as `pilot_sticks` takes them."""
+        sticks = self.navigator.sticks
+        return sticks.roll, sticks.pitch, sticks.yaw, sticks.throttle
+
+    def pilot_disarm(self, forced: bool) -> None:
+        """The pilot disarms; not in the air unless `forced`."""
+        self.commander.request_arm(False, forced)
+
+    def estimate_jumped(self, jump_ned: tuple[float, float, float], yaw_rad: float) -> None:
+        """The estimator has been reset: own modes take their setpoints along."""
+        self.navigator.target += jump_ned
+        self.navigator.follower.position += jump_ned
+        self.navigator.yaw += yaw_rad
 
     # --- commands ----------------------------------------------------------------------------------------------
     def _do_set_mode(self, link: Link, command: Command) -> Result | None:

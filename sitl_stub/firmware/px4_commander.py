@@ -10,16 +10,19 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from sitl_stub.firmware.autopilot import Result
+from sitl_stub.firmware.px4_battery import BatteryLevel, battery_level, battery_mode
 from sitl_stub.firmware.px4_events import Event
 from sitl_stub.firmware.px4_modes import FAILSAFE_ACTIONS, FAILSAFE_DISARM, FAILSAFE_TERMINATE, Mode
 from sitl_stub.firmware.px4_offboard import OffboardKind
+from sitl_stub.physics import vehicle as body
 
 if TYPE_CHECKING:
     from sitl_stub.firmware.px4 import Px4
 
+OVERRIDE_AUTO, OVERRIDE_OFFBOARD = 1, 2
+"""Bits of COM_RC_OVERRIDE."""
 FORCE_MAGIC = 21196.0
 """Second parameter of the arm command that skips the checks."""
-KILLED_DISARM_S = 5.0
 
 
 class Commander:
@@ -32,6 +35,10 @@ class Commander:
         self.armed = False
         self.failsafe = False
         self.taken_off = False
+        self.battery = BatteryLevel.OK
+        self._battery_disregarded = BatteryLevel.OK
+        """Somebody has chosen a mode at that level of charge: only a worse one takes it away."""
+        self._killed_since_us: int | None = None
         self._mode_after_disarm = Mode.LOITER
         self._landed_since_us: int | None = None
         self._armed_at_us = 0
@@ -39,8 +46,10 @@ class Commander:
 
     # --- can it? -----------------------------------------------------------------------------------------------
     def sticks_present(self) -> bool:
-        """Whether MANUAL_CONTROL is coming in (COM_RC_LOSS_T)."""
+        """Whether MANUAL_CONTROL is coming in (COM_RC_LOSS_T), or a radio is on."""
         a = self.autopilot
+        if a.navigator.sticks.radio:
+            return True
         return a.time_us - a.navigator.sticks.last_us < a.parameters["COM_RC_LOSS_T"] * 1e6
 
     def offboard_signal(self) -> bool:
@@ -66,6 +75,8 @@ class Commander:
         a = self.autopilot
         if not a.system_ready:
             return "Preflight Fail: system not ready"
+        if a.killed:
+            return "Preflight Fail: Kill switch engaged"
         if not self.intended.value.can_arm:
             return "Arming denied: mode does not allow arming"
         if not self.can_run(self.intended):
@@ -83,6 +94,7 @@ class Commander:
             self.autopilot.announce(4, f"Switching to mode '{mode.name.title()}' is currently not possible")
             return Result.TEMPORARILY_REJECTED
         self.intended = mode
+        self._battery_disregarded = self.battery
         if not self.armed:
             self._mode_after_disarm = mode
         self._choose_mode()
@@ -120,9 +132,23 @@ class Commander:
         self.failsafe = False
         a = self.autopilot
         a.core.idle()
+        self._battery_disregarded = BatteryLevel.OK
         a.announce(6, f"Disarmed {why}", Event.DISARMED)
         self.intended = self._mode_after_disarm
         self._choose_mode()
+
+    def override_by_sticks(self, moved: float) -> None:
+        """The pilot has moved a stick by that share of its way: COM_RC_OVERRIDE hands over beyond COM_RC_STICK_OV."""
+        p = self.autopilot.parameters
+        bit = OVERRIDE_OFFBOARD if self.mode is Mode.OFFBOARD else OVERRIDE_AUTO if self.mode.is_auto else 0
+        far = moved > 0.01 * p["COM_RC_STICK_OV"]
+        if not (self.armed and self.taken_off and far and int(p["COM_RC_OVERRIDE"]) & bit):
+            return
+        for mode in (Mode.POSCTL, Mode.ALTCTL):
+            if self.can_run(mode):
+                self.autopilot.announce(6, "Pilot took over using sticks")
+                self.request_mode(mode)
+                return
 
     def takeoff_done(self) -> None:
         """The climb of TAKEOFF is over: hold."""
@@ -134,6 +160,8 @@ class Commander:
     def update(self) -> None:
         """Failsafes, landing, disarming."""
         a = self.autopilot
+        self._look_at_battery()
+        self._look_at_kill_switch()
         if self.armed:
             self._choose_mode()
             landed = a.land_detector.landed
@@ -151,10 +179,42 @@ class Commander:
                 if after > 0 and a.time_us - self._landed_since_us >= after * 1e6:
                     self.disarm("by landing" if self.taken_off else "by auto preflight disarming")
 
+    def _look_at_battery(self) -> None:
+        core = self.autopilot.core
+        used = float(core.state[body.CHARGE_USED] / core.parameters_packed[body.BATTERY_CAPACITY])
+        level = battery_level(1.0 - used, self.autopilot.parameters)
+        if level > self.battery:
+            self.autopilot.announce(4 if level is BatteryLevel.LOW else 2, f"Battery {level.name.lower()}")
+        self.battery = level
+
+    def _look_at_kill_switch(self) -> None:
+        a = self.autopilot
+        if not (a.killed and self.armed):
+            self._killed_since_us = None
+            return
+        if self._killed_since_us is None:
+            self._killed_since_us = a.time_us
+            a.announce(2, "Kill engaged")
+        after = a.parameters["COM_KILL_DISARM"]
+        if after > 0 and a.time_us - self._killed_since_us >= after * 1e6:
+            self.disarm("by kill switch")
+
+    def _battery_failsafe(self, mode: Mode) -> Mode | None:
+        """The mode the battery forces on `mode`, or None."""
+        forced = battery_mode(self.battery, self.autopilot.parameters)
+        free = self.battery <= self._battery_disregarded or not self.taken_off
+        if forced is None or free or mode in (forced, Mode.LAND, Mode.PRECISION_LAND):
+            return None
+        return forced if self.can_run(forced) else Mode.LAND
+
     def _choose_mode(self) -> None:
         mode = self.intended
         failsafe = False
-        if self.armed and not self.can_run(mode):
+        forced = self._battery_failsafe(mode) if self.armed else None
+        if forced is not None:
+            failsafe = True
+            mode = forced
+        elif self.armed and not self.can_run(mode):
             failsafe = True
             fallback = self._fallback(mode)
             if fallback is None:
@@ -163,6 +223,7 @@ class Commander:
         if failsafe and not self.failsafe:
             a = self.autopilot
             cause = "no offboard signal" if self.intended is Mode.OFFBOARD else "mode requirements lost"
+            cause = cause if forced is None else f"battery {self.battery.name.lower()}"
             a.announce(2, f"Failsafe activated: {cause}, now {mode.name.title()}", Event.FAILSAFE)
         elif self.failsafe and not failsafe:
             self.autopilot.on_text("failsafe cleared")

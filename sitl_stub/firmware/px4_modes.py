@@ -78,6 +78,22 @@ FAILSAFE_TERMINATE = 6
 FAILSAFE_DISARM = 7
 
 
+BY_WORD = {
+    "position": Mode.POSCTL,
+    "altitude": Mode.ALTCTL,
+    "manual": Mode.STABILIZED,
+    "hold": Mode.LOITER,
+    "return": Mode.RTL,
+    "land": Mode.LAND,
+}
+"""What both firmwares have under names of their own."""
+
+
+def mode_named(name: str) -> Mode | None:
+    """The mode of PX4's own name (`POSCTL`) or of a word both firmwares know (`position`)."""
+    return BY_WORD.get(name.lower()) or Mode.__members__.get(name.upper())
+
+
 def mode_of(main: int, sub: int) -> Mode | None:
     """The mode of DO_SET_MODE's numbers; PX4 takes a sub mode only for AUTO and POSCTL."""
     if main == 4:

@@ -34,6 +34,8 @@ class Sticks:
     throttle: float = 0.5
     yaw: float = 0.0
     last_us: int = -(10**12)
+    radio: bool = False
+    """A pilot's radio is on: there whether or not MANUAL_CONTROL comes, and seen in RC_CHANNELS."""
 
 
 @dataclass(slots=True)

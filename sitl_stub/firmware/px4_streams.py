@@ -27,6 +27,7 @@ Values = tuple[Any, ...]
 
 CAPABILITIES = 59647
 PREARM_BIT = 1 << 28
+GPS_BIT = 1 << 5
 HEALTH_BITS = 52480063
 SENSORS_PRESENT, SENSORS_ENABLED = 16431, 81967
 LANDED_ON_GROUND, LANDED_IN_AIR, LANDED_TAKEOFF, LANDED_LANDING = 1, 2, 3, 4
@@ -92,6 +93,7 @@ class Px4Messages:
             ("DISTANCE_SENSOR", self.distance_sensor, rates(10, 0.5)),
             ("VFR_HUD", self.vfr_hud, rates(10, 4)),
             ("SERVO_OUTPUT_RAW", self.servo_output_raw, rates(10, 1)),
+            ("RC_CHANNELS", self.rc_channels, rates(20, 5)),
             ("GLOBAL_POSITION_INT", self.global_position_int, rates(50, 5)),
             ("POSITION_TARGET_LOCAL_NED", self.position_target_local_ned, rates(10, 1.5)),
             ("POSITION_TARGET_GLOBAL_INT", self.position_target_global_int, rates(10, 1)),
@@ -133,6 +135,8 @@ class Px4Messages:
             present, enabled = 0, 0
         if c.armed or c.ready_to_arm:
             health |= PREARM_BIT
+        if not a.core.position_aided:
+            health &= ~GPS_BIT
         state = a.core.state
         volts = float(state[body.BATTERY_VOLTAGE])
         values = (
@@ -160,11 +164,12 @@ class Px4Messages:
     def battery_status(self, link: Link) -> Values | None:
         """BATTERY_STATUS: one pack; its voltage is in the first cell's field, as PX4 does without cell measurement."""
         state = self.autopilot.core.state
+        level = int(self.autopilot.commander.battery)
         voltages = (round(float(state[body.BATTERY_VOLTAGE]) * 1000),) + (65535,) * 9
         used_mah = round(float(state[body.CHARGE_USED]) / 3.6)
         current = _int16(100.0 * float(state[body.BATTERY_CURRENT]))
         head = (used_mah, -1, 32767, *voltages, current, 0, 1, 1, self._battery_percent())
-        return (*head, 0, 1, 0, 0, 0, 0, 0, 0)
+        return (*head, 0, level, 0, 0, 0, 0, 0, 0)
 
     def extended_sys_state(self, link: Link) -> Values:
         """EXTENDED_SYS_STATE: on the ground, in the air, taking off, landing."""
@@ -190,19 +195,19 @@ class Px4Messages:
 
     def system_time(self, link: Link) -> Values:
         """SYSTEM_TIME: simulated, counted from a fixed epoch."""
-        now = self.autopilot.time_us
+        now = self.autopilot.clock_us
         return (SIMULATED_EPOCH_US + now, now // 1000)
 
     def timesync(self, link: Link) -> Values | None:
         """TIMESYNC request; in lockstep the server sends them instead."""
         if self.autopilot.lockstep:
             return None
-        return (0, self.autopilot.time_us * 1000)
+        return (0, self.autopilot.clock_us * 1000)
 
     def ping(self, link: Link) -> Values:
         """PING request."""
         self.ping_sequence += 1
-        return (self.autopilot.time_us, self.ping_sequence - 1, 0, 0)
+        return (self.autopilot.clock_us, self.ping_sequence - 1, 0, 0)
 
     def estimator_status(self, link: Link) -> Values:
         """ESTIMATOR_STATUS: ESTIMATOR_STATUS_FLAGS and accuracies."""
@@ -215,7 +220,7 @@ class Px4Messages:
             flags = 229 if a.home_known else 164
         sd = a.core.estimator.preset.position.sd
         ratios = (0.05, 0.03, 0.02, 0.05, 0.01, NAN)
-        return (a.time_us, *ratios, max(sd[:2]), sd[2], flags)
+        return (a.clock_us, *ratios, max(sd[:2]), sd[2], flags)
 
     def mission_current(self, link: Link) -> Values:
         """MISSION_CURRENT: no mission; mission_mode says whether the vehicle is in an automatic mode."""
@@ -227,7 +232,7 @@ class Px4Messages:
         """VIBRATION: the accelerometer noise of the preset."""
         a = self.autopilot
         sd = a.core.estimator.preset.accelerometer_sd_thrusting if a.commander.armed else (0.0, 0.0, 0.0)
-        return (a.time_us, 0.0, 0.05 * sd[0], float(sd[2]), 0, 0, 0)
+        return (a.clock_us, 0.0, 0.05 * sd[0], float(sd[2]), 0, 0, 0)
 
     # --- place -------------------------------------------------------------------------------------------------
     def home_position(self, link: Link) -> Values | None:
@@ -256,7 +261,7 @@ class Px4Messages:
         heading = round(math.degrees(a.core.yaw) % 360.0 * 100) % 36000
         above_home = round((float(a.home_ned[2]) - z) * 1000)
         return (
-            a.time_us // 1000,
+            a.clock_us // 1000,
             latitude,
             longitude,
             round(self.altitude_of(z) * 1000),
@@ -276,8 +281,10 @@ class Px4Messages:
         altitude = round(self.altitude_of(z) * 1000)
         course = round(math.degrees(math.atan2(vy, vx)) % 360.0 * 100) % 36000
         speed = min(round(100.0 * math.hypot(vx, vy)), 65534)
-        fix = 3 if a.core.position_valid else 1
-        head = (a.time_us, latitude, longitude, altitude, 70, 110, speed, course, fix, 10)
+        fix, satellites = (3, 10) if a.core.position_valid else (1, 10)
+        if not a.core.position_aided:
+            fix, satellites = 0, 0
+        head = (a.clock_us, latitude, longitude, altitude, 70, 110, speed, course, fix, satellites)
         return (*head, altitude, 900, 1780, 400, 0, 0)
 
     def altitude(self, link: Link) -> Values:
@@ -286,7 +293,7 @@ class Px4Messages:
         z = float(a.core.position_ned[2])
         above_sea = self.altitude_of(z)
         above_home = float(a.home_ned[2]) - z
-        return (a.time_us, above_sea, above_sea, -z, above_home, -float(a.home_ned[2]), max(above_home, 0.0))
+        return (a.clock_us, above_sea, above_sea, -z, above_home, -float(a.home_ned[2]), max(above_home, 0.0))
 
     def distance_sensor(self, link: Link) -> Values:
         """DISTANCE_SENSOR looking down."""
@@ -294,7 +301,7 @@ class Px4Messages:
         height = max(float(a.core.environment[body.GROUND_DOWN] - a.core.state[body.POSITION + 2]), 0.0)
         height -= a.core.vehicle.foot_height_m
         centimetres = min(max(round(100.0 * height), 0), 10000)
-        return (a.time_us // 1000, 0, 10000, centimetres, 0, 0, 25, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
+        return (a.clock_us // 1000, 0, 10000, centimetres, 0, 0, 25, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
 
     def vfr_hud(self, link: Link) -> Values:
         """VFR_HUD."""
@@ -308,11 +315,11 @@ class Px4Messages:
     def scaled_pressure(self, link: Link) -> Values:
         """SCALED_PRESSURE of the standard atmosphere."""
         a = self.autopilot
-        return (a.time_us // 1000, self._pressure_hpa(), 0.0, 1180, 0)
+        return (a.clock_us // 1000, self._pressure_hpa(), 0.0, 1180, 0)
 
     def _pressure_hpa(self) -> float:
         altitude = self.altitude_of(float(self.autopilot.core.position_ned[2]))
-        return 1013.25 * float((1.0 - 2.25577e-5 * altitude) ** 5.25588)
+        return 1013.25 * float(max(1.0 - 2.25577e-5 * altitude, 0.0) ** 5.25588)
 
     # --- motion ------------------------------------------------------------------------------------------------
     def attitude(self, link: Link) -> Values:
@@ -323,18 +330,18 @@ class Px4Messages:
         pitch = math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0))
         yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
         p, q, r = (float(value) for value in core.body_rate_frd)
-        return (core.time_us // 1000, roll, pitch, yaw, p, q, r)
+        return (self.autopilot.clock_us // 1000, roll, pitch, yaw, p, q, r)
 
     def attitude_quaternion(self, link: Link) -> Values:
         """ATTITUDE_QUATERNION."""
         core = self.autopilot.core
         q, rates = core.quaternion.tolist(), core.body_rate_frd.tolist()
-        return (core.time_us // 1000, *q, *rates, 0.0, 0.0, 0.0, 0.0)
+        return (self.autopilot.clock_us // 1000, *q, *rates, 0.0, 0.0, 0.0, 0.0)
 
     def local_position_ned(self, link: Link) -> Values:
         """LOCAL_POSITION_NED; PX4 goes on sending it when position is invalid."""
         core = self.autopilot.core
-        return (core.time_us // 1000, *core.position_ned.tolist(), *core.velocity_ned.tolist())
+        return (self.autopilot.clock_us // 1000, *core.position_ned.tolist(), *core.velocity_ned.tolist())
 
     def odometry(self, link: Link) -> Values:
         """ODOMETRY of the estimate: MAV_FRAME_LOCAL_NED for both, as PX4 sends it."""
@@ -349,7 +356,18 @@ class Px4Messages:
             pose[index] = preset.attitude.sd[axis] ** 2
         resets = int(core.estimate[19] + core.estimate[20]) & 0xFF
         motion = (*core.position_ned.tolist(), *core.quaternion.tolist(), *core.velocity_ned.tolist())
-        return (core.time_us, *motion, *core.body_rate_frd.tolist(), *pose, *velocity, 1, 1, resets, 8, 0)
+        return (
+            self.autopilot.clock_us,
+            *motion,
+            *core.body_rate_frd.tolist(),
+            *pose,
+            *velocity,
+            1,
+            1,
+            resets,
+            8,
+            0,
+        )
 
     def highres_imu(self, link: Link) -> Values:
         """HIGHRES_IMU."""
@@ -365,7 +383,7 @@ class Px4Messages:
             2 * (x * y - w * z) * north + 2 * (y * z + w * x) * down,
             2 * (x * z + w * y) * north + (1 - 2 * (x * x + y * y)) * down,
         )
-        return (core.time_us, *force, *rates, *field, pressure, 0.0, altitude, 15.0, 511, 0)
+        return (self.autopilot.clock_us, *force, *rates, *field, pressure, 0.0, altitude, 15.0, 511, 0)
 
     def hil_state_quaternion(self, link: Link) -> Values:
         """HIL_STATE_QUATERNION: the truth. Latitude and longitude resolve 1.1 cm, altitude 1 mm."""
@@ -376,7 +394,7 @@ class Px4Messages:
         latitude, longitude = self.origin.globe_e7(x, y)
         force = s[body.SPECIFIC_FORCE_FRD].tolist()
         airspeed = min(round(100.0 * math.sqrt(sum(v * v for v in velocity))), 65535)
-        head = (core.time_us, *s[body.QUATERNION_WXYZ].tolist(), *s[body.BODY_RATE_FRD].tolist())
+        head = (self.autopilot.clock_us, *s[body.QUATERNION_WXYZ].tolist(), *s[body.BODY_RATE_FRD].tolist())
         place = (latitude, longitude, round(self.altitude_of(z) * 1000))
         motion = tuple(_int16(100.0 * v) for v in velocity)
         return (*head, *place, *motion, airspeed, airspeed, *(_int16(v / 9.80665 * 1000) for v in force))
@@ -387,7 +405,7 @@ class Px4Messages:
         a = self.autopilot
         m = a.core.memory
         mask = 0
-        head = (a.time_us // 1000, *m[at.OUT_QUATERNION : at.OUT_QUATERNION + 4].tolist())
+        head = (a.clock_us // 1000, *m[at.OUT_QUATERNION : at.OUT_QUATERNION + 4].tolist())
         return (*head, *m[at.OUT_RATES : at.OUT_RATES + 3].tolist(), float(m[at.OUT_THRUST]), mask)
 
     def _follows_trajectory(self) -> bool:
@@ -402,14 +420,14 @@ class Px4Messages:
             if a.commander.mode is Mode.OFFBOARD:
                 return None
             values = (NAN,) * 6 + (0.0, 0.0, 100.0, a.core.yaw, 0.0)
-            return (a.time_us // 1000, *values, 63, 1)
+            return (a.clock_us // 1000, *values, 63, 1)
         s, m = a.core.setpoint, a.core.memory
         position = s[at.POSITION : at.POSITION + 3].tolist()
         velocity = m[at.OUT_VELOCITY : at.OUT_VELOCITY + 3].tolist()
         acceleration = m[at.OUT_ACCELERATION : at.OUT_ACCELERATION + 3].tolist()
         mask = sum(1 << bit for bit, value in enumerate(position) if value != value)
         return (
-            a.time_us // 1000,
+            a.clock_us // 1000,
             *position,
             *velocity,
             *acceleration,
@@ -431,7 +449,7 @@ class Px4Messages:
         acceleration = m[at.OUT_ACCELERATION : at.OUT_ACCELERATION + 3].tolist()
         altitude = self.altitude_of(float(target[2]))
         yaw = float(s[at.YAW])
-        return (a.time_us // 1000, latitude, longitude, altitude, *velocity, *acceleration, yaw, 0.0, 0, 5)
+        return (a.clock_us // 1000, latitude, longitude, altitude, *velocity, *acceleration, yaw, 0.0, 0, 5)
 
     def servo_output_raw(self, link: Link) -> Values:
         """SERVO_OUTPUT_RAW: 900 disarmed, 1000..2000 µs armed."""
@@ -441,7 +459,21 @@ class Px4Messages:
         if a.commander.armed:
             for i, value in enumerate(a.core.motors[:count].tolist()):
                 outputs[i] = round(1000.0 + 1000.0 * value)
-        return (a.time_us & 0xFFFFFFFF, *outputs[:8], 0, *outputs[8:])
+        return (a.clock_us & 0xFFFFFFFF, *outputs[:8], 0, *outputs[8:])
+
+    def rc_channels(self, link: Link) -> Values | None:
+        """RC_CHANNELS of a pilot's radio: roll, pitch, throttle, yaw in µs; silent while there is none."""
+        a = self.autopilot
+        sticks = a.navigator.sticks
+        if not sticks.radio:
+            return None
+        first = (
+            round(1500 + 500 * sticks.roll),
+            round(1500 - 500 * sticks.pitch),
+            round(1000 + 1000 * sticks.throttle),
+            round(1500 + 500 * sticks.yaw),
+        )
+        return (a.clock_us // 1000, *first, *([65535] * 14), 4, 100)
 
     # --- on request --------------------------------------------------------------------------------------------
     def autopilot_version(self, link: Link) -> Values:

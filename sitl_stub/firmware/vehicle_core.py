@@ -48,6 +48,10 @@ class VehicleCore:
         """Take changed controller parameters into the running loops."""
         raise NotImplementedError
 
+    def reset_controllers(self) -> None:
+        """Setpoints and memory of the controllers as at boot: rotors at rest."""
+        raise NotImplementedError
+
     def advance_to(self, time_us: int) -> None:
         """Run the loops up to `time_us` (rounded down to whole control periods; never back)."""
         raise NotImplementedError
@@ -83,6 +87,11 @@ class VehicleCore:
         """Estimated heading, rad, clockwise from north."""
         w, x, y, z = (float(value) for value in self.quaternion)
         return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+    @property
+    def position_aided(self) -> bool:
+        """Whether the filter gets measurements of position (GPS, motion capture)."""
+        return bool(self.estimator.arrays.memory[belief.AIDED] > 0.0)
 
     @property
     def position_valid(self) -> bool:

@@ -86,6 +86,8 @@ class Received:
     component: int
     mavlink_version: int
     values: dict[str, Any]
+    frame: bytes = b""
+    """The whole frame as it came."""
 
     def __getattr__(self, name: str) -> Any:
         try:
@@ -211,7 +213,7 @@ class FrameReader:
             counters.received += 1
             values = unpack_payload(layout, data[at + header : body_end])
             version = 2 if magic == MAVLINK2_MAGIC else 1
-            yield Received(layout.name, system, component, version, values)
+            yield Received(layout.name, system, component, version, values, data[at : at + total])
             at += total
 
 
@@ -249,6 +251,28 @@ class FrameWriter:
             body = bytes((len(payload), sequence, self.system, self.component, message_id)) + payload
             start = b"\xfe"
         return start + body + _crc(body + bytes((layout.crc_extra,))).to_bytes(2, "little")
+
+
+def whole_frame(frame: bytes) -> tuple[int, MessageLayout] | None:
+    """Sequence number and message of an unsigned frame, or None where it is cut or its checksum fails."""
+    if len(frame) < 8 or frame[0] not in (MAVLINK1_MAGIC, MAVLINK2_MAGIC):
+        return None
+    second = frame[0] == MAVLINK2_MAGIC
+    if len(frame) < 12 and second:
+        return None
+    number = frame[7] | frame[8] << 8 | frame[9] << 16 if second else frame[5]
+    layout = LAYOUTS_BY_ID.get(number)
+    if layout is None or len(frame) != frame[1] + (12 if second else 8):
+        return None
+    good = _crc(frame[1:-2] + bytes((layout.crc_extra,))) == frame[-2] | frame[-1] << 8
+    return (frame[4] if second else frame[2], layout) if good else None
+
+
+def renumbered(frame: bytes, sequence: int, crc_extra: int) -> bytes:
+    """A whole, unsigned frame with another sequence number and the checksum that belongs to it."""
+    at = 4 if frame[0] == MAVLINK2_MAGIC else 2
+    body = frame[1:at] + bytes((sequence,)) + frame[at + 1 : -2]
+    return frame[:1] + body + _crc(body + bytes((crc_extra,))).to_bytes(2, "little")
 
 
 _MAVLINK1_LENGTHS: dict[str, int] = {

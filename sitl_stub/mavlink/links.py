@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 import socket
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -50,13 +51,31 @@ class Link:
         self.refused = False
         """True when the last datagram found nobody at the address (Linux reports it on loopback)."""
         self.firmware_data: Any = None
+        self.muted: Mapping[int, int] = {}
+        """Messages, by id, that are not sent at all: faults of the autopilot's streams."""
+        self.outgoing: Callable[[MessageLayout, bytes], None] | None = None
+        """What a frame goes through instead of `send_bytes`: faults of the link."""
+        self.overtaking: Callable[[MessageLayout, tuple[Any, ...]], None] | None = None
+        """What sends a message past frames that are still on their way."""
 
     def send_frame(self, layout: MessageLayout, values: tuple[Any, ...]) -> None:
         """Send one message given its values in wire order."""
-        if layout.message_id > 255 and self.writer.version == 1:
+        if (layout.message_id > 255 and self.writer.version == 1) or layout.message_id in self.muted:
             return
         self.counters.sent += 1
-        self.send_bytes(self.writer.frame(layout, values))
+        frame = self.writer.frame(layout, values)
+        if self.outgoing is None:
+            self.send_bytes(frame)
+        else:
+            self.outgoing(layout, frame)
+
+    def send_past_faults(self, layout: MessageLayout, values: tuple[Any, ...]) -> None:
+        """Send one message that no fault touches: the questions of lockstep."""
+        self.counters.sent += 1
+        if self.overtaking is None:
+            self.send_bytes(self.writer.frame(layout, values))
+        else:
+            self.overtaking(layout, values)
 
     def send(self, name: str, **fields: Any) -> None:
         """Send one message by field names; fields left out are zero."""
@@ -65,8 +84,14 @@ class Link:
 
     def send_payload(self, layout: MessageLayout, payload: bytes) -> None:
         """Send one message whose payload is already packed."""
+        if layout.message_id in self.muted:
+            return
         self.counters.sent += 1
-        self.send_bytes(self.writer.frame_of_payload(layout, payload))
+        frame = self.writer.frame_of_payload(layout, payload)
+        if self.outgoing is None:
+            self.send_bytes(frame)
+        else:
+            self.outgoing(layout, frame)
 
     def send_bytes(self, frame: bytes) -> None:
         """Hand one frame to the socket."""

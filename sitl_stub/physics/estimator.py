@@ -69,7 +69,8 @@ FROZEN = 48  # 1.0: the estimate stands still and grows old
 RING_NEXT = 49
 FORCED_INVALID = 50  # 1.0: position flagged invalid whatever it is
 STARTED = 51
-MEMORY_SIZE = 52
+OFFSET_RATE = 52  # NED m/s (3), heading rad/s: a divergence, position and velocity of which agree
+MEMORY_SIZE = 56
 
 # --- settings, packed from the preset -----------------------------------------------------------------------------------
 SET_PERIOD = 0
@@ -133,6 +134,9 @@ def move_errors(memory: FloatArray, settings: FloatArray, random: RandomState) -
         if memory[AIDED] == 0.0:
             memory[DRIFT_POSITION + j] += period * memory[DRIFT_VELOCITY + j]
             memory[DRIFT_VELOCITY + j] += kick
+    for j in range(3):
+        memory[OFFSET_POSITION + j] += period * memory[OFFSET_RATE + j]
+    memory[OFFSET_HEADING] += period * memory[OFFSET_RATE + 3]
     memory[TIME_UNAIDED] = 0.0 if memory[AIDED] > 0.0 else memory[TIME_UNAIDED] + period
 
 
@@ -200,6 +204,7 @@ def advance_estimate(
             + wander * corner * memory[NOISE_POSITION + 2 * j + 1]
             + settings[SET_SD + 3 + j] * memory[NOISE_VELOCITY + 2 * j]
             + memory[DRIFT_VELOCITY + j]
+            + memory[OFFSET_RATE + j]
         )
 
     # attitude: heading offset about world down on the left, small error in the body on the right
@@ -368,6 +373,14 @@ class Estimator:
     def set_position_invalid(self, invalid: bool) -> None:
         """Flag position invalid although it is what it was."""
         self.arrays.memory[FORCED_INVALID] = float(invalid)
+
+    def diverge(self, velocity_ned: tuple[float, float, float], heading_rate_rad_s: float) -> None:
+        """Let the error of position and heading grow by so much more each second, on top of what it grows already.
+
+        The estimated velocity shows it; the flags do not. Negative numbers take it back: what has grown stays.
+        """
+        self.arrays.memory[OFFSET_RATE : OFFSET_RATE + 3] += velocity_ned
+        self.arrays.memory[OFFSET_RATE + 3] += heading_rate_rad_s
 
     def reset_position(self, jump_ned: tuple[float, float, float]) -> None:
         """Let the estimated position jump by `jump_ned` m for good, and count a reset."""

@@ -79,6 +79,10 @@ def test_the_nearest_wins(px4_sitl):
     assert (ready["seed"], ready["vehicle"], ready["estimator"], ready["lockstep"]) == (5, "px4_sih", "gps", True)
     assert "--wind" in px4_sitl.command and "MC_ROLL_P=6.0" in px4_sitl.command
 
+@pytest.mark.sitl(scenario="faults.toml", ready_after_s=0.5)
+def test_faults_by_file_and_by_call(px4_sitl):
+    px4_sitl.inject("link_loss", for_s=1.0)
+
 @pytest.mark.sitl(winds="4")
 def test_a_wrong_option(sitl):
     pass
@@ -94,11 +98,13 @@ def test_a_stub_that_is_stopped_on_purpose(sitl):
 
 def test_options_reach_the_stub_and_wrong_ones_are_named(tmp_path: Path) -> None:
     (tmp_path / "test_fixtures.py").write_text(FIXTURES)
+    (tmp_path / "faults.toml").write_text('[[fault]]\nkind = "link_delay"\nat_s = 5.0\ndelay_s = 0.2\n')
     done = run_pytest(tmp_path, "--sitl", "px4-1.13", "--tb=short")
     assert outcomes(done.stdout) == {
         "test_as_the_option_says[px4-1.13]": "PASSED",
         "test_named": "PASSED",
         "test_the_nearest_wins[px4_sitl0]": "PASSED",
+        "test_faults_by_file_and_by_call": "PASSED",
         "test_a_wrong_option[px4-1.13]": "ERROR",
         "test_a_refused_value[px4-1.13]": "ERROR",
         "test_a_stub_that_is_stopped_on_purpose[px4-1.13]": "PASSED",

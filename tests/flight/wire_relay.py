@@ -90,30 +90,54 @@ class TcpWire:
             self.accepted += 1
             return []
         connection = self.connection
-        data = connection.recv(65536) if connection is not None else b""
+        try:
+            data = connection.recv(65536) if connection is not None else b""
+        except ConnectionError:  # closed by the companion with bytes of ours unread
+            data = b""
         if not data and connection is self.connection:
             self.connection = None
         return [data] if data else []
 
     def write(self, data: bytes) -> None:
         if self.connection is not None:
-            self.connection.sendall(data)
+            try:
+                self.connection.sendall(data)
+            except ConnectionError:
+                self.connection = None
 
     def close(self) -> None:
         self.drop()
         self.listener.close()
 
 
-class SerialWire:
-    """A pseudo-terminal as a serial port of `baud` bit/s: 10 bits a byte, and no faster than that."""
+class Pace:
+    """One direction of a UART: `bytes_s`, and a buffer of BURST_BYTES before one has to wait."""
 
-    BURST_BYTES = 512  # what a UART's driver buffers; what is more has to wait
+    BURST_BYTES = 512  # what a UART's driver buffers
+
+    def __init__(self, bytes_s: float) -> None:
+        self.bytes_s = bytes_s
+        self._credit, self._since = float(self.BURST_BYTES), time.monotonic()
+
+    def wait(self, count: int) -> None:
+        """Return when `count` more bytes are through."""
+        now = time.monotonic()
+        self._credit = min(self.BURST_BYTES, self._credit + (now - self._since) * self.bytes_s)
+        self._since = now
+        self._credit -= count
+        if self._credit < 0.0:
+            time.sleep(-self._credit / self.bytes_s)
+
+
+class SerialWire:
+    """A pseudo-terminal as a serial port of `baud` bit/s: 10 bits a byte each way, and no faster than that."""
 
     def __init__(self, path: Path, baud: int) -> None:
         self.path = path
         self.rate = baud / 10.0
         self.dropped = 0
-        self.carried = 0
+        self.carried = 0  # to the companion
+        self.received = 0  # from it
         self._open()
 
     def _open(self) -> None:
@@ -122,7 +146,7 @@ class SerialWire:
         os.set_blocking(self.master, False)
         self.path.unlink(missing_ok=True)
         self.path.symlink_to(os.ttyname(self._slave))
-        self._credit, self._since = float(self.BURST_BYTES), time.monotonic()
+        self._down, self._up = Pace(self.rate), Pace(self.rate)
 
     def pull(self) -> None:
         """Pull the plug: whoever has the port open is hung up on."""
@@ -139,17 +163,15 @@ class SerialWire:
 
     def read(self, source: int) -> list[bytes]:
         try:
-            return [os.read(self.master, 65536)]
+            data = os.read(self.master, 65536)
         except OSError:
             return []
+        self.received += len(data)
+        self._up.wait(len(data))
+        return [data]
 
     def write(self, data: bytes) -> None:
-        now = time.monotonic()
-        self._credit = min(self.BURST_BYTES, self._credit + (now - self._since) * self.rate)
-        self._since = now
-        self._credit -= len(data)
-        if self._credit < 0.0:
-            time.sleep(-self._credit / self.rate)
+        self._down.wait(len(data))
         try:
             self.carried += os.write(self.master, data)
         except OSError:

@@ -9,13 +9,13 @@ import pytest
 from mavlink_wire import decoded, mav
 
 from companion.autopilot.adapter import ARM, DISARM, Intent, VehicleStatus, Verdict
-from companion.autopilot.ardupilot import ArduPilot
+from companion.autopilot.ardupilot import ArduPilot, ArduPilotNoGps
 from companion.autopilot.px4 import Px4
 from companion.autopilot.registry import adapter_for
 from companion.config.errors import UserError
 from companion.control.structs import ControlLevel, Setpoint
 
-PX4, ARDUPILOT = Px4(), ArduPilot()
+PX4, ARDUPILOT, NO_GPS = Px4(), ArduPilot(), ArduPilotNoGps()
 NOW = (1, 17, 0)
 SQRT = math.sqrt(0.5)
 PX4_GOOD = {
@@ -67,6 +67,9 @@ def test_what_cannot_be_flown_is_refused(autopilot, kind, says):
         (ARDUPILOT, Intent.EXTERNAL, (1, 4), 4, "GUIDED"),
         (ARDUPILOT, Intent.LAND, (1, 9), 9, "LAND"),
         (ARDUPILOT, Intent.HOLD, (1, 17), 17, "BRAKE"),
+        (NO_GPS, Intent.EXTERNAL, (1, 20), 20, "GUIDED_NOGPS"),
+        (NO_GPS, Intent.LAND, (1, 9), 9, "LAND"),
+        (NO_GPS, Intent.HOLD, (1, 2), 2, "ALT_HOLD"),
     ],
 )
 def test_modes(adapter, intent, parameters, custom_mode, name):
@@ -83,6 +86,41 @@ def test_modes_nobody_knows_have_a_name():
     assert "99" in PX4.mode_name(4 << 16 | 99 << 24)
     assert "99" in ARDUPILOT.mode_name(99)
     assert PX4.mode_name(-1) and ARDUPILOT.mode_name(-1)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "kind"),
+    [
+        ({}, ArduPilot),  # not answered: as most vehicles are
+        ({"GPS1_TYPE": 1.0}, ArduPilot),
+        ({"GPS1_TYPE": 0.0}, ArduPilotNoGps),
+        ({"GPS_TYPE": 0.0}, ArduPilotNoGps),
+        ({"GPS_TYPE": 2.0}, ArduPilot),
+    ],
+)
+def test_without_gps_the_mode_is_guided_nogps(parameters, kind):
+    for before in (ARDUPILOT, NO_GPS):
+        assert type(before.suited(parameters)) is kind
+    assert set(parameters) <= set(ARDUPILOT.parameters_needed())
+    assert PX4.suited(parameters) is PX4
+
+
+def test_without_gps_the_checks_are_the_same_and_name_the_mode():
+    found = findings(NO_GPS, ARDUPILOT_GOOD)
+    assert (found.pop("mode").found, found) == ("GUIDED_NOGPS", findings(ARDUPILOT, ARDUPILOT_GOOD))
+
+
+@pytest.mark.parametrize(
+    ("adapter", "parameters", "limit_deg"),
+    [
+        (ARDUPILOT, {"ANGLE_MAX": 3000.0}, 30.0),
+        (ARDUPILOT, {"ATC_ANGLE_MAX": 25.0}, 25.0),
+        (ARDUPILOT, {}, math.inf),
+        (PX4, {}, math.inf),
+    ],
+)
+def test_where_our_attitude_is_cut(adapter, parameters, limit_deg):
+    assert adapter.tilt_limit_deg(parameters) == limit_deg
 
 
 def test_arming():

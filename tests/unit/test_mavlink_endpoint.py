@@ -53,7 +53,7 @@ def test_spellings(text, kind, host, number):
         ("", "not an address I know"),
         ("14540", "not an address I know"),
         ("http://127.0.0.1:80", "not an address I know"),
-        ("udpin:0.0.0.0", "port '0.0.0.0' is not a number"),
+        ("udpin:0.0.0.0", "names no port; use for example udpin:0.0.0.0:14540"),
         ("udpin:0.0.0.0:", "port '' is not a number"),
         ("udpin:0.0.0.0:0", "port '0' is not a number from 1 to 65535"),
         ("udpin:0.0.0.0:65536", "port '65536' is not a number from 1 to 65535"),

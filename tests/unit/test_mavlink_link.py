@@ -19,6 +19,7 @@ from mavlink_wire import (
 )
 
 from companion.autopilot.adapter import VehicleStatus
+from companion.flight.vehicle import Vehicle
 from companion.mavlink.framing import is_signed
 from companion.mavlink.link import Link
 from companion.mavlink.protocol import CommandClient, ParameterClient
@@ -397,3 +398,15 @@ TAKEN_IN_FLIGHT = {
     mav.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
     mav.MAVLINK_MSG_ID_TIMESYNC,
 }
+
+
+def test_an_autopilot_that_never_pauses_and_asks_nothing_still_hears_us(wire):
+    """ArduPilot in flight: hundreds of messages a second, and no TIMESYNC question of its own for 10 s."""
+    transport, link, _, autopilot = wire
+    vehicle = Vehicle(link, silence_limit_s=1.0)
+    transport.waiting.append(autopilot.frame(heartbeat()))
+    transport.waiting.extend(autopilot.frame(attitude(10 * k)) for k in range(1, 301))
+    vehicle.until(lambda: link.autopilot_time_s >= 3.0)
+    sent = kinds(decoded(transport.sent))
+    assert sent.count("TIMESYNC") == pytest.approx(30, abs=2)
+    assert sent.count("HEARTBEAT") == pytest.approx(4, abs=1)

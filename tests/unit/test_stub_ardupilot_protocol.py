@@ -175,6 +175,16 @@ def test_mode_that_needs_a_position_is_refused_without_one_in_the_air() -> None:
     assert client.command(176, 1, LAND) == [ACCEPTED]
 
 
+def test_without_gps_guided_is_not_armed_and_guided_nogps_is() -> None:
+    client = ArduPilotClient(parameters={"GPS1_TYPE": 0.0})
+    client.advance(3.0)
+    assert not [text for text in client.texts() if "GPS" in text]
+    assert client.command(176, 1, GUIDED) == [ACCEPTED]
+    assert client.answers(400, 1) == ([FAILED], ["Arm: AHRS: waiting for home"])
+    assert client.command(176, 1, GUIDED_NOGPS) == [ACCEPTED]
+    assert client.command(400, 1) == [ACCEPTED]
+
+
 @pytest.mark.parametrize("mode", [0, LOITER, BRAKE])
 def test_targets_outside_guided_fall_silently(mode: int) -> None:
     client = ArduPilotClient(parameters=THRUST_AS_THRUST)
