@@ -7,6 +7,7 @@ starts when the compiled loops are there.
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 import os
 import signal
@@ -134,7 +135,10 @@ def _parser() -> argparse.ArgumentParser:
         help='take faults as JSON lines on standard input: {"inject": "link_loss", "for_s": 2}, {"clear": true}',
     )
     parser.add_argument("--json", action="store_true", help="print the ready line and the summary as JSON")
-    parser.add_argument("--die-with-parent", action="store_true", help=argparse.SUPPRESS)
+    # The parent says who it is: one that is killed while this starts is no longer to be found out afterwards.
+    parser.add_argument(
+        "--die-with-parent", nargs="?", type=int, const=0, metavar="PID", help=argparse.SUPPRESS
+    )
     parser.add_argument("--quiet", action="store_true", help="print the ready line and errors only")
     return parser
 
@@ -156,22 +160,20 @@ def _split_remote(text: str, default_local: int) -> tuple[str, int]:
     return remote, int(local)
 
 
-def _free_port() -> int:
-    import socket
-
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 def open_ports(options: argparse.Namespace) -> list[Port]:
     """Every socket asked for; raises AddressError."""
-    from sitl_stub.mavlink.links import AddressError, TcpPort, UdpPort, parse_address
+    from sitl_stub.mavlink.links import (
+        AddressError,
+        TcpPort,
+        UdpPort,
+        parse_address,
+        reserve_client_port,
+    )
 
     ports: list[Port] = []
     try:
         if options.port == 0:
-            ports.append(UdpPort(("127.0.0.1", 0), ("127.0.0.1", _free_port()), "onboard"))
+            ports.append(UdpPort(("127.0.0.1", 0), ("127.0.0.1", reserve_client_port()), "onboard"))
         elif options.udp or options.gcs or options.udp_server or options.tcp:
             pass
         elif options.firmware == "ardupilot":
@@ -314,6 +316,10 @@ def main(arguments: list[str] | None = None) -> int:
 
     signal.signal(signal.SIGINT, on_signal)
     signal.signal(signal.SIGTERM, on_signal)
+    if options.die_with_parent is not None:
+        end = functools.partial(os.kill, os.getpid(), signal.SIGTERM)
+        watch = (end, options.die_with_parent or parent)
+        threading.Thread(target=watch_parent, args=watch, daemon=True).start()
     ports: list[Port] = []
     try:
         mean, gust, parameters = _numbers(options)
@@ -356,8 +362,6 @@ def main(arguments: list[str] | None = None) -> int:
     server.exit_on_disarm = options.exit_on_disarm
     if stopping.is_set():
         server.stop()
-    if options.die_with_parent:
-        threading.Thread(target=watch_parent, args=(server.stop, parent), daemon=True).start()
     wall = time.monotonic()
     try:
         server.run(autopilot)

@@ -134,14 +134,20 @@ class Server:
                     self.say(f"{link.name} connected")
 
     # --- taking in ---------------------------------------------------------------------------------------------
-    def _receive(self, timeout_s: float) -> list[tuple[Link, Received]]:
-        """Messages that arrive within `timeout_s`, in order of arrival on each link."""
+    def _receive(self, timeout_s: float, obey: bool = True) -> list[tuple[Link, Received]]:
+        """Messages that arrive within `timeout_s`, in order of arrival on each link.
+
+        What came over the control channel is taken up only when no message is waiting and `obey` says so: in lockstep
+        that is while time stands, so that an injected fault begins at the same instant however fast it came.
+        """
         arrived: list[tuple[Link, Received]] = []
         changed = False
-        for key, _ in self._selector.select(timeout_s):
-            if self.control is not None and key.data is self.control:
-                self.control.read()
-                changed |= not self.control.open
+        ready = [key for key, _ in self._selector.select(timeout_s)]
+        if self.control is not None and obey and all(key.data is self.control for key in ready) and ready:
+            self.control.read()
+            changed |= not self.control.open
+        for key in ready:
+            if key.data is self.control:
                 continue
             port: Port = key.data
             before = len(port.links)
@@ -236,7 +242,7 @@ class Server:
                 self._request_answers(autopilot)
                 self._wait_for_answers(autopilot)
             else:
-                self._handle(self._receive(0.0))
+                self._handle(self._receive(0.0, obey=False))
             if self.free_running:
                 self.say("no TIMESYNC answers: going on in real time until they return")
                 held, self._held = self._held, []

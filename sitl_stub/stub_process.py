@@ -52,6 +52,7 @@ class Stub:
         exit_on_disarm: bool = False,
         scenario: str | Path | None = None,
         arguments: Sequence[str] = (),
+        ready_after_s: float | None = None,
         ready_timeout_s: float = 20.0,
     ) -> None:
         """`transport`: `udp` (the stub speaks first, as PX4), `udp-server` or `tcp`. `scenario`: a TOML file of faults.
@@ -82,15 +83,18 @@ class Stub:
         command += ["--exit-on-disarm"] if exit_on_disarm else []
         command += ["--mass", str(mass_kg)] if mass_kg is not None else []
         command += ["--duration", str(duration_s)] if duration_s is not None else []
+        command += ["--ready-after", str(ready_after_s)] if ready_after_s is not None else []
         for name, value in (parameters or {}).items():
             command += ["--param", f"{name}={value}"]
         command += ["--scenario", str(scenario)] if scenario is not None else []
-        self.command = [*command, "--control", "--die-with-parent", *arguments]
+        self.command = [*command, "--control", *arguments]
         self.ready_timeout_s = ready_timeout_s
         self.process: subprocess.Popen[str] | None = None
         self.ready: dict[str, Any] = {}
         self.summary: dict[str, Any] | None = None
         """The stub's last line, once it has ended by itself or been stopped."""
+        self.errors = ""
+        """What it said on standard error, from then on too."""
 
     def __enter__(self) -> Stub:
         self.start()
@@ -120,7 +124,11 @@ class Stub:
     def start(self) -> None:
         """Start and wait for the ready line; raises StubError with the stub's own message."""
         self.process = subprocess.Popen(
-            self.command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, stdin=subprocess.PIPE, text=True
+            [*self.command, "--die-with-parent", str(os.getpid())],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            stdin=subprocess.PIPE,
+            text=True,
         )
         assert self.process.stdout is not None
         with selectors.DefaultSelector() as selector:
@@ -130,9 +138,9 @@ class Stub:
             self.ready = json.loads(line)
         except json.JSONDecodeError:
             self.process.kill()
-            _, errors = self.process.communicate()
+            self._collect(5.0)
             raise StubError(
-                errors.strip() or f"no ready line from the stub within {self.ready_timeout_s} s"
+                self.errors or f"no ready line from the stub within {self.ready_timeout_s} s"
             ) from None
 
     def inject(
@@ -197,8 +205,7 @@ class Stub:
     def wait(self, timeout_s: float = 60.0) -> int:
         """Wait for the stub to end by itself; returns its exit code. Raises subprocess.TimeoutExpired."""
         assert self.process is not None
-        output, _ = self.process.communicate(timeout=timeout_s)
-        self._read_summary(output)
+        self._collect(timeout_s)
         return self.process.returncode
 
     def stop(self) -> None:
@@ -210,15 +217,18 @@ class Stub:
             with contextlib.suppress(ProcessLookupError):
                 process.send_signal(signal.SIGTERM)
         try:
-            output, _ = process.communicate(timeout=5.0)
-            self._read_summary(output)
+            self._collect(5.0)
         except subprocess.TimeoutExpired:
             process.kill()
-            process.communicate()
+            self._collect(5.0)
         except ValueError:
             pass  # its output has been read to the end already
 
-    def _read_summary(self, output: str) -> None:
+    def _collect(self, timeout_s: float) -> None:
+        """Read what it says until it has ended."""
+        assert self.process is not None
+        output, errors = self.process.communicate(timeout=timeout_s)
+        self.errors = errors.strip()
         for line in output.splitlines():
             with contextlib.suppress(json.JSONDecodeError):
                 self.summary = json.loads(line)

@@ -6,6 +6,7 @@ The stub is another program: it is started as a process and spoken to over its s
 from __future__ import annotations
 
 import json
+import os
 import selectors
 import subprocess
 import sys
@@ -44,6 +45,7 @@ def running_stub(firmware: str, seed: int, options: Sequence[str]) -> Iterator[s
         "0",
         "--json",
         "--die-with-parent",  # also when we are killed
+        str(os.getpid()),
     ]
     process = subprocess.Popen(
         [*command, *options],

@@ -29,6 +29,8 @@ PARAMETERS_PER_INSTANT = 10
 LATEST_CLOCK_US = (2**32 - 1) * 1000
 """What `time_boot_ms` can hold."""
 REFUSED_PROBE_US = 500_000
+LONGEST_INTERVAL_US = 2.0**31 - 1.0
+"""What MESSAGE_INTERVAL can tell."""
 UINT32 = 5
 AIRBORNE_ABOVE_M = 0.05
 """Truth, for what comes after take-off."""
@@ -368,8 +370,12 @@ class Autopilot:
         return Result.ACCEPTED
 
     def _set_message_interval(self, link: Link, command: Command) -> Result | None:
-        message_id, interval = self._message_id(command), command.params[1]
-        if message_id is None or not self.streams.set_interval(link, message_id, interval, self.time_us):
+        message_id, interval = self._message_id(command), min(command.params[1], LONGEST_INTERVAL_US)
+        if (
+            message_id is None
+            or not math.isfinite(interval)
+            or not self.streams.set_interval(link, message_id, interval, self.time_us)
+        ):
             return self.unknown_interval_result
         return Result.ACCEPTED
 

@@ -13,7 +13,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from sitl_stub.firmware import control_layout as at
-from sitl_stub.firmware.autopilot import LOGIC_PERIOD_US, Autopilot, Command, Result, is_place, whole
+from sitl_stub.firmware.autopilot import (
+    HIGHEST_M,
+    LOGIC_PERIOD_US,
+    Autopilot,
+    Command,
+    Result,
+    is_place,
+    whole,
+)
 from sitl_stub.firmware.flight_core import CONTROL_PERIOD_US, FlightCore
 from sitl_stub.firmware.land_detector import LandDetector
 from sitl_stub.firmware.parameters import ParameterTable
@@ -303,7 +311,7 @@ class Px4(Autopilot):
 
     def _takeoff(self, link: Link, command: Command) -> Result | None:
         altitude = command.params[6]
-        if math.isfinite(altitude) and altitude != 0.0:
+        if abs(altitude) <= HIGHEST_M and altitude != 0.0:
             height = altitude - self.say_messages.altitude_of(float(self.home_ned[2]))
             if height > 0.5:
                 self.navigator.takeoff_altitude_m = height
@@ -314,9 +322,9 @@ class Px4(Autopilot):
         result = self.commander.request_mode(Mode.LOITER)
         if result is Result.ACCEPTED:
             target = np.array(self.navigator.target)
-            if math.isfinite(latitude) and math.isfinite(longitude) and (latitude or longitude):
+            if is_place(latitude, longitude, 0.0) and (latitude or longitude):
                 target[:2] = self.say_messages.local_of(latitude, longitude)
-            if math.isfinite(altitude):
+            if abs(altitude) <= HIGHEST_M:
                 target[2] = self.say_messages.down_of(altitude)
             if math.isfinite(command.params[3]):
                 self.navigator.yaw = command.params[3]

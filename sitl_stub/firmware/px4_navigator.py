@@ -100,6 +100,9 @@ class Navigator:
         self.vertical_velocity = 0.0
         self.reposition: NDArray[np.float64] | None = None
         self.takeoff_altitude_m: float | None = None
+        """Asked for by the next MAV_CMD_NAV_TAKEOFF, above home."""
+        self.climb_m = 0.0
+        """The take-off's height above home."""
 
     def enter(self, mode: Mode) -> None:
         """A mode begins: from where the vehicle is and as it moves."""
@@ -119,10 +122,9 @@ class Navigator:
             if speed > 0.1:
                 self.target[:2] += core.velocity_ned[:2] * speed / (2.0 * p["MPC_ACC_HOR"])
         if mode is Mode.TAKEOFF:
-            height = p["MIS_TAKEOFF_ALT"]
-            if self.takeoff_altitude_m is not None:
-                height = self.takeoff_altitude_m
-            self.target[2] = min(float(self.autopilot.home_ned[2]) - height, float(self.target[2]))
+            asked = self.takeoff_altitude_m
+            self.climb_m = float(p["MIS_TAKEOFF_ALT"]) if asked is None else asked
+            self.target[2] = min(float(self.autopilot.home_ned[2]) - self.climb_m, float(self.target[2]))
             self.takeoff_altitude_m = None
         self.vertical_velocity = float(core.velocity_ned[2])
 
@@ -191,7 +193,7 @@ class Navigator:
         if self.autopilot.land_detector.landed and waited < spool_up:
             self._stay_on_ground()
             self.target[2] = min(
-                float(self.autopilot.home_ned[2]) - p["MIS_TAKEOFF_ALT"], float(core.position_ned[2])
+                float(self.autopilot.home_ned[2]) - self.climb_m, float(core.position_ned[2])
             )
             return
         ramp = p["MPC_TKO_RAMP_T"]

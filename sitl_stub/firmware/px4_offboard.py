@@ -26,6 +26,11 @@ LOCAL_NED = 1
 BODY_NED_FRAMES = (8, 12)  # velocities and accelerations in the heading's frame
 
 
+def finite_or_nan(number: float) -> float:
+    """An infinite number controls nothing, as NaN does."""
+    return number if math.isfinite(number) else NAN
+
+
 class OffboardKind(Enum):
     """What the last offboard setpoint controlled."""
 
@@ -120,7 +125,7 @@ class OffboardSetpoint:
         if mask & IS_FORCE:
             return False
         fields = ("x", "y", "z", "vx", "vy", "vz", "afx", "afy", "afz")
-        values = [NAN if mask >> bit & 1 else float(v[name]) for bit, name in enumerate(fields)]
+        values = [NAN if mask >> bit & 1 else finite_or_nan(v[name]) for bit, name in enumerate(fields)]
         position, velocity, acceleration = values[:3], values[3:6], values[6:]
         if frame in BODY_NED_FRAMES:
             position = [NAN] * 3
@@ -138,7 +143,7 @@ class OffboardSetpoint:
         packed[at.POSITION : at.POSITION + 3] = position
         packed[at.VELOCITY : at.VELOCITY + 3] = velocity
         packed[at.ACCELERATION : at.ACCELERATION + 3] = acceleration
-        packed[at.YAW] = NAN if mask & IGNORE_YAW else v["yaw"]
+        packed[at.YAW] = NAN if mask & IGNORE_YAW else finite_or_nan(v["yaw"])
         yaw_rate = 0.0 if mask & IGNORE_YAW_RATE else float(v["yaw_rate"])
         packed[at.YAW_RATE] = yaw_rate if math.isfinite(yaw_rate) else 0.0
         packed[at.OVERRIDE_PERIODS] = 0.0

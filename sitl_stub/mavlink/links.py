@@ -7,6 +7,7 @@ sensible here; nothing is encrypted or signed.
 from __future__ import annotations
 
 import contextlib
+import os
 import socket
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -26,6 +27,8 @@ Address = tuple[str, int]
 IP_RECVERR = 11  # Linux: report a refused datagram of an unconnected socket; Python names no constant for it
 LARGEST_DATAGRAM = 65535
 MOST_CLIENTS_OF_A_PORT = 16
+CLIENT_PORTS = (20000, 32000)
+"""Where `reserve_client_port` looks."""
 
 
 class AddressError(ValueError):
@@ -358,6 +361,37 @@ class TcpPort:
         for link in self.links:
             if isinstance(link, TcpLink):
                 link.connection.close()
+
+
+_reserved: list[socket.socket] = []
+
+
+def reserve_client_port() -> int:
+    """A UDP port on loopback for a client that will open it later; no other stub offers it while this process lives.
+
+    The UDP port itself has to stay free for the client. What is held is the TCP port of the same number, as the sign
+    to other stubs, and the number is below those that systems give to sockets of any port (Linux 32768, others 49152).
+
+    Raises:
+        AddressError: none is free.
+    """
+    numbers = range(*CLIENT_PORTS)
+    first = os.getpid() * 7919 % len(numbers)
+    for step in range(len(numbers)):
+        number = numbers[(first + step) % len(numbers)]
+        sign = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        try:
+            sign.bind(("127.0.0.1", number))
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+                probe.bind(("127.0.0.1", number))
+        except OSError:
+            sign.close()
+            continue
+        _reserved.append(sign)
+        return number
+    raise AddressError(
+        f"no UDP port from {CLIENT_PORTS[0]} to {CLIENT_PORTS[1]} is free; name one with --udp"
+    )
 
 
 def parse_address(text: str, what: str) -> Address:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import pytest
@@ -31,16 +32,30 @@ def _until(condition: Callable[[], bool], timeout_s: float = 30.0) -> bool:
     return False
 
 
+def _ask_for_health(telemetry: Any) -> None:
+    """What health_all_ok is made of: ArduPilot sends none of it until asked."""
+    telemetry.set_rate_health(5.0)
+    telemetry.set_rate_position(10.0)
+
+
+@contextmanager
+def client_of(stub: Stub) -> Iterator[Any]:
+    """A MAVSDK of its own and the system it found."""
+    kind = mavsdk.ComponentType.COMPANION_COMPUTER
+    client = mavsdk.Mavsdk(mavsdk.Configuration.create_with_component_type(kind))
+    try:
+        client.add_any_connection(stub.mavsdk_address)
+        system = client.first_autopilot(60.0)
+        assert system is not None
+        yield system
+    finally:
+        client.destroy()
+
+
 @pytest.fixture
 def connected() -> Iterator[tuple[Stub, Any]]:
-    with Stub(speed=SPEED) as stub:
-        kind = mavsdk.ComponentType.COMPANION_COMPUTER
-        client = mavsdk.Mavsdk(mavsdk.Configuration.create_with_component_type(kind))
-        client.add_any_connection(stub.mavsdk_address)
-        system = client.first_autopilot(20.0)
-        assert system is not None
+    with Stub(speed=SPEED) as stub, client_of(stub) as system:
         yield stub, system
-        client.destroy()
 
 
 def test_mavsdk_flies_a_whole_flight(connected: tuple[Stub, Any]) -> None:
@@ -71,15 +86,72 @@ def test_mavsdk_flies_a_whole_flight(connected: tuple[Stub, Any]) -> None:
 
 def test_mavsdk_that_goes_away_leaves_the_vehicle_to_its_failsafe() -> None:
     with Stub(speed=SPEED, exit_on_disarm=True) as stub:
-        kind = mavsdk.ComponentType.COMPANION_COMPUTER
-        client = mavsdk.Mavsdk(mavsdk.Configuration.create_with_component_type(kind))
-        client.add_any_connection(stub.mavsdk_address)
-        system = client.first_autopilot(20.0)
-        telemetry, offboard, action = Telemetry(system), Offboard(system), Action(system)
-        assert _until(telemetry.health_all_ok)
-        offboard.set_position_ned(PositionNedYaw(0.0, 0.0, -2.0, 0.0))
-        offboard.start()
-        action.arm()
-        assert _until(lambda: telemetry.position().relative_altitude_m > 1.5)
-        client.destroy()
+        with client_of(stub) as system:
+            telemetry, offboard, action = Telemetry(system), Offboard(system), Action(system)
+            assert _until(telemetry.health_all_ok)
+            offboard.set_position_ned(PositionNedYaw(0.0, 0.0, -2.0, 0.0))
+            offboard.start()
+            action.arm()
+            assert _until(lambda: telemetry.position().relative_altitude_m > 1.5)
         assert stub.wait(40.0) == 0  # offboard loss, land, disarm
+
+
+def test_mavsdk_flies_ardupilot_too() -> None:
+    """Telemetry, health, parameters (floats on this firmware), arm, take-off, offboard position and attitude, land."""
+    # With the bit by which thrust means thrust: MAVSDK's attitude setpoints carry a thrust.
+    settings = {"GUID_OPTIONS": 8.0, "ATC_ANGLE_BOOST": 0.0}
+    with (
+        Stub("ardupilot", speed=SPEED, ready_after_s=2.0, parameters=settings) as stub,
+        client_of(stub) as system,
+    ):
+        action, telemetry, offboard, param = (
+            Action(system),
+            Telemetry(system),
+            Offboard(system),
+            Param(system),
+        )
+        telemetry.set_rate_position_velocity_ned(10.0)
+        telemetry.set_rate_attitude_euler(10.0)
+        _ask_for_health(telemetry)
+        assert _until(telemetry.health_all_ok)
+        assert param.get_param_float("ATC_ANG_RLL_P") == pytest.approx(4.5, abs=0.5)
+        param.set_param_float("ATC_ANG_RLL_P", 5.0)
+        assert param.get_param_float("ATC_ANG_RLL_P") == pytest.approx(5.0)
+        assert param.get_param_int("GUID_OPTIONS") == 8
+        action.set_takeoff_altitude(3.0)
+        action.arm()
+        action.takeoff()
+        assert _until(lambda: telemetry.position().relative_altitude_m > 2.5)
+        offboard.set_position_ned(PositionNedYaw(1.0, 0.0, -3.0, 0.0))
+        offboard.start()
+        assert _until(lambda: abs(telemetry.position_velocity_ned().position.north_m - 1.0) < 0.3)
+        offboard.set_attitude(Attitude(0.0, 0.0, 15.0, 0.369))
+        assert _until(lambda: 10.0 < telemetry.attitude_euler().yaw_deg < 20.0)
+        offboard.set_position_ned(PositionNedYaw(1.0, 0.0, -3.0, 0.0))
+        action.land()
+        assert _until(lambda: not telemetry.armed(), 60.0)
+
+
+@pytest.mark.parametrize("firmware", ["px4", "ardupilot"])
+def test_mavsdk_comes_back(firmware: str) -> None:
+    """One client goes; the next, on the same port, gets everything again."""
+    with Stub(firmware, speed=SPEED, ready_after_s=2.0) as stub:
+        for _ in range(2):
+            with client_of(stub) as system:
+                telemetry, param = Telemetry(system), Param(system)
+                _ask_for_health(telemetry)
+                assert _until(telemetry.health_all_ok)
+                name = "MPC_XY_P" if firmware == "px4" else "ATC_ANG_RLL_P"
+                assert param.get_param_float(name) > 0.5
+        assert stub.running
+
+
+def test_mavsdk_notices_that_the_stub_is_gone_and_back() -> None:
+    """Its connection state falls after three seconds without a HEARTBEAT, and rises with a new stub at the address."""
+    with Stub() as first, client_of(first) as system:
+        assert _until(system.is_connected)
+        local, remote = first.ready["links"][0]["local"][1], first.endpoint.rpartition(":")[2]
+        first.stop()
+        assert _until(lambda: not system.is_connected())
+        with Stub(arguments=["--udp", f"127.0.0.1:{remote}@{local}"]):
+            assert _until(system.is_connected)
