@@ -31,7 +31,6 @@ _QUICK = (
     "flight.procedure.transit_acceleration_m_s2=1.2",
     "flight.procedure.transit_jerk_m_s3=4",
     "flight.procedure.connect_timeout_s=120",  # two programs on a machine with other work
-    "flight.safety.silence_s=30",
     "flight.takeoff_height_m=0.8",
 )
 
@@ -69,6 +68,8 @@ class PlannedFlight:
     faults: tuple[Fault, ...] = ()
     kill_at_s: float | None = None
     interrupts_at_s: tuple[float, ...] = ()
+    gone_at_s: float | None = None
+    """The autopilot itself is gone from then on: nothing is heard any more."""
     as_command: bool = False
     """Started as a process of its own, as a user does, without instruments inside."""
 
@@ -80,13 +81,14 @@ class PlannedFlight:
     @property
     def quiet(self) -> bool:
         """Whether nothing is to go wrong: within what the profiles claim to bear, it has to be flown as planned."""
-        return not self.faults and self.kill_at_s is None and not self.interrupts_at_s
+        return self.kinds == ("none",)
 
     @property
     def kinds(self) -> tuple[str, ...]:
         """Everything that is done to it, in words; `none` when nothing is."""
         words = [fault.kind for fault in self.faults]
         words += ["companion_killed"] if self.kill_at_s is not None else []
+        words += ["autopilot_gone"] if self.gone_at_s is not None else []
         words += ["ctrl_c" if len(self.interrupts_at_s) == 1 else "ctrl_c_twice"] * bool(self.interrupts_at_s)
         return tuple(sorted(words)) or ("none",)
 
@@ -99,7 +101,8 @@ class PlannedFlight:
         tight = (
             [f"flight.safety.fence_margin_m.hold=[{FENCE_HOLD_M}, 0]"] if self.fence_radius_m < WIDE_M else []
         )
-        return [*_QUICK, f"flight.safety.fence.radius_m={self.fence_radius_m:g}", *tight]
+        silence = f"flight.safety.silence_s={3 if self.gone_at_s is not None else 30}"  # our clock, on a busy machine
+        return [*_QUICK, silence, f"flight.safety.fence.radius_m={self.fence_radius_m:g}", *tight]
 
     def vehicle_file(self) -> str:
         """The varied vehicle, as the stub's TOML."""
@@ -140,6 +143,7 @@ def planned(firmware: str, seed: int) -> PlannedFlight:
     slack_m = draw.uniform(0.03, 0.2)
     sort = draw.random()
     kill: float | None = None
+    gone: float | None = None
     interrupts: tuple[float, ...] = ()
     faults: tuple[Fault, ...] = ()
     if sort < 0.08:
@@ -149,6 +153,8 @@ def planned(firmware: str, seed: int) -> PlannedFlight:
     elif sort < 0.19:
         first = draw.uniform(0.5, 12.0)
         interrupts = (first,) if draw.random() < 0.6 else (first, first + draw.uniform(0.8, 3.0))
+    elif sort < 0.21:
+        gone = draw.uniform(0.0, 12.0)
     else:
         count = 1 if draw.random() < 0.5 else 2
         faults = draw_faults(draw, firmware, count)
@@ -179,5 +185,6 @@ def planned(firmware: str, seed: int) -> PlannedFlight:
         faults=faults,
         kill_at_s=kill,
         interrupts_at_s=interrupts,
-        as_command=kill is None and not interrupts and draw.random() < 0.02,
+        gone_at_s=gone,
+        as_command=kill is None and gone is None and not interrupts and draw.random() < 0.02,
     )

@@ -151,7 +151,7 @@ def _start_stub(planned: PlannedFlight, folder: Path, tape: Tape) -> Child:
     options += ["--die-with-parent", *stub_options(planned, folder)]
 
     def stub_main() -> int:
-        watch_stub(tape)
+        watch_stub(tape, planned.gone_at_s)
         from sitl_stub.cli import main
 
         return main(options)

@@ -26,8 +26,8 @@ LONGEST_FLIGHT_S = 150.0
 """Simulated s after arming at which a flight that has not ended is interrupted; nothing planned comes near."""
 
 
-def watch_stub(tape: Tape) -> None:
-    """In the stub's process: let every autopilot that is served write the black box."""
+def watch_stub(tape: Tape, gone_at_s: float | None) -> None:
+    """In the stub's process: let every autopilot that is served write the black box, until it is gone."""
     import sitl_stub.server as served
 
     plain_gone = served.Server._gone
@@ -50,6 +50,8 @@ def watch_stub(tape: Tape) -> None:
                     _fill(row, autopilot)
                     row[TIME] = now_us * 1e-6
                     tape.note_vehicle(row)
+                    if gone_at_s is not None and row[TIME] - tape.armed_at_s >= gone_at_s:
+                        os.kill(os.getpid(), signal.SIGKILL)
                 return int(sent)
 
             autopilot.step = watched_step

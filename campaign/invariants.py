@@ -106,6 +106,10 @@ def truthful_end(e: Evidence) -> str:
         return "refused, but the vehicle is armed"
     if "disarmed later" in text and armed:
         return "says that it was disarmed later, but the vehicle is armed"
+    if e.planned.gone_at_s is not None and e.stub_code == -9 and outcome not in ("link lost", "refused"):
+        return f"the autopilot was gone, and it says {outcome}: {text}"
+    if outcome == "link lost" and e.planned.gone_at_s is None:
+        return f"says {text!r}, but the autopilot was there"
     if outcome == "interrupted" and not e.planned.interrupts_at_s:
         return f"interrupted, but nobody did, unless it had not ended by itself after {LONGEST_S:g} s"
     if outcome == "pilot took over" and "sticks" not in text and armed and e.planned.faults == ():
@@ -119,7 +123,7 @@ def truthful_end(e: Evidence) -> str:
 
 def safe_afterwards(e: Evidence) -> str:
     """With the companion gone or killed, the autopilot has landed the vehicle, or holds it still where that is its way."""
-    if not len(e.box) or e.planned.has(*FALLING, "estimator_divergence"):
+    if not len(e.box) or e.planned.has(*FALLING, "estimator_divergence", "autopilot_gone"):
         return NOT_JUDGED
     last = e.box[-1]
     if e.tilt_deg[-1] > TILT_BOUND_DEG:
@@ -379,7 +383,8 @@ def no_traceback(e: Evidence) -> str:
         e.code is not None and e.code not in (0, 1, 2, 3) and not e.killed
     ):
         return f"the companion ended with {e.code}: {e.words[-1] if e.words else 'nothing said'}"
-    if "Traceback" in e.stub_words or e.stub_code != 0:
+    gone = e.planned.gone_at_s is not None and e.stub_code == -9
+    if "Traceback" in e.stub_words or (e.stub_code != 0 and not gone):
         lines = e.stub_words.strip().splitlines()
         return f"the stub ended with {e.stub_code}: {lines[-1] if lines else 'nothing said'}"
     return KEPT

@@ -44,7 +44,7 @@ def test_the_stub_takes_every_fault_and_vehicle_that_is_drawn(firmware: str, tmp
         drawn = scenario_from(table, "drawn", Target(flight.stub_firmware, vehicle))
         assert len(drawn.entries) == len(flight.faults)
     assert set(KINDS) <= set(seen) and min(seen[kind] for kind in KINDS) >= 5
-    assert {"none", "companion_killed", "ctrl_c", "ctrl_c_twice"} <= set(seen)
+    assert {"none", "companion_killed", "ctrl_c", "ctrl_c_twice", "autopilot_gone"} <= set(seen)
 
 
 def test_faults_come_alone_and_in_pairs() -> None:

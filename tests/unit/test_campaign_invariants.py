@@ -245,6 +245,17 @@ def test_claims_that_are_not_so_are_noticed(changes: dict, word: str) -> None:
     assert word in said("truthful end", good(**changes))
 
 
+def test_an_autopilot_that_is_gone_has_to_be_missed_and_no_other() -> None:
+    gone = replace(PLAN, gone_at_s=3.0)
+    lost = good(words=("link lost: nothing heard",), code=1, stub_code=-9)
+    assert said("truthful end", replace(lost, planned=gone)) == KEPT
+    assert "was there" in said("truthful end", lost)
+    assert "was gone" in said(
+        "truthful end", good(planned=gone, words=("aborted: a limit",), code=3, stub_code=-9)
+    )
+    assert said("no traceback", replace(lost, planned=gone)) == KEPT
+
+
 def test_a_vehicle_handed_back_in_our_mode_is_noticed() -> None:
     words = ("handed back: a limit",)
     rows = with_row(box(), OVER_S, ARMED, 1.0)
