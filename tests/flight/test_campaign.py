@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-
 from campaign.draw import planned
 
 PROJECT = Path(__file__).parents[2]
@@ -17,7 +17,12 @@ pytestmark = [pytest.mark.flight, pytest.mark.timeout(600)]
 
 def campaign(*words: str) -> tuple[int, str, str]:
     done = subprocess.run(
-        [sys.executable, "-m", "campaign", *words], cwd=PROJECT, capture_output=True, text=True, check=False
+        [sys.executable, "-m", "campaign", *words],
+        cwd=PROJECT,
+        env={**os.environ, "PYTHONPATH": str(PROJECT / "tests")},
+        capture_output=True,
+        text=True,
+        check=False,
     )
     return done.returncode, done.stdout, done.stderr
 

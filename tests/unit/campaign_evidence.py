@@ -8,12 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 os.environ.setdefault("MAVLINK20", "1")
-from pymavlink.dialects.v20 import all as mav
-
 from campaign.draw import PlannedFlight, Variation
 from campaign.evidence import Evidence, LogEvent
 from campaign.tape import ARMED, BOX_WIDTH, MODE, POSITION, QUATERNION, TIME
 from campaign.wire import Frame, Wire, frame_of
+from pymavlink.dialects.v20 import all as mav
 
 OFFBOARD, LAND = 6 << 16, 4 << 16 | 6 << 24
 TAKEN_S, OVER_S, END_S = 4.0, 20.0, 24.0

@@ -8,8 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from campaign_evidence import OFFBOARD, command, heartbeat, setpoint
-
 from campaign.__main__ import main
 from campaign.draw import FIRMWARES, planned
 from campaign.faults import KINDS, scenario
@@ -18,6 +16,8 @@ from campaign.result import Result
 from campaign.tally import BLOCKS, Tally, put_between_markers, read_results
 from campaign.tape import BOX_WIDTH, Tape
 from campaign.wire import armed_of, command_of, is_ours, mode_of, read_wire, setpoint_numbers
+from campaign_evidence import OFFBOARD, command, heartbeat, setpoint
+
 from companion.flightlog.writer import FlightLog
 from sitl_stub.faults.scenario import Target, scenario_from
 from sitl_stub.physics.vehicle import load_vehicle

@@ -7,6 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from campaign.evidence import Evidence, LogEvent
+from campaign.faults import Fault
+from campaign.invariants import INVARIANTS, KEPT, NOT_JUDGED, judge
+from campaign.tape import ARMED, POSITION, QUATERNION, VELOCITY
 from campaign_evidence import (
     END_S,
     LAND,
@@ -26,11 +30,6 @@ from campaign_evidence import (
     sticks,
     with_row,
 )
-
-from campaign.evidence import Evidence, LogEvent
-from campaign.faults import Fault
-from campaign.invariants import INVARIANTS, KEPT, NOT_JUDGED, judge
-from campaign.tape import ARMED, POSITION, QUATERNION, VELOCITY
 
 LAND_AT = next(i for i, one in enumerate(flight_frames()) if one.time_s >= OVER_S)
 GUST = Fault("gust", "airborne", 1.0, 1.0)
