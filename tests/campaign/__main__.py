@@ -138,18 +138,21 @@ def _tell(flight: PlannedFlight, result: Result, words: Sequence[str], folder: P
 
 @contextmanager
 def _interruptible() -> Iterator[list[int]]:
-    """Signals that came; the first lets flights under way end, the second is Python's own."""
+    """Signals that came; the first Ctrl-C or SIGTERM lets flights under way end, a second one does what it always does."""
     came: list[int] = []
+    usual = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
 
     def note(number: int, frame: FrameType | None) -> None:
         came.append(number)
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        for one, handler in usual.items():
+            signal.signal(one, handler)  # type: ignore[arg-type]
 
-    before = signal.signal(signal.SIGINT, note)
+    before = {number: signal.signal(number, note) for number in usual}
     try:
         yield came
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _many(options: argparse.Namespace, firmwares: Sequence[str]) -> int:
