@@ -142,12 +142,10 @@ class Server:
         """
         arrived: list[tuple[Link, Received]] = []
         changed = False
-        ready = [key for key, _ in self._selector.select(timeout_s)]
-        if self.control is not None and obey and all(key.data is self.control for key in ready) and ready:
-            self.control.read()
-            changed |= not self.control.open
-        for key in ready:
+        commanded = False
+        for key, _ in self._selector.select(timeout_s):
             if key.data is self.control:
+                commanded = True
                 continue
             port: Port = key.data
             before = len(port.links)
@@ -155,6 +153,9 @@ class Server:
             for link, messages in port.receive(key.fileobj):  # type: ignore[arg-type]
                 arrived.extend((link, message) for message in messages)
             changed |= len(port.links) != before or not was_open
+        if commanded and obey and not arrived and self.control is not None:
+            self.control.read()
+            changed |= not self.control.open
         if changed or any(link.firmware_data is None for link, _ in arrived):
             self._refresh()
         return arrived

@@ -241,7 +241,14 @@ class UdpPort:
                 link.heard = True
                 link.refused = False
                 batches.append((link, messages))
+        self._forget_errors()
         return batches
+
+    def _forget_errors(self) -> None:
+        """Empty the queue of refusals: while there is one, a selector finds the socket ready without end."""
+        with contextlib.suppress(OSError):
+            for _ in range(1000):
+                self.socket.recvmsg(1, 512, socket.MSG_ERRQUEUE)
 
     def describe(self) -> dict[str, Any]:
         """Local and, if any, remote address and the endpoint a client would use."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import selectors
 import signal
 import socket
 import subprocess
@@ -258,3 +259,19 @@ def test_hostile_datagrams_do_not_stop_it() -> None:
         connection.close()
         sender.close()
         assert stub.running
+
+
+def test_a_client_that_is_gone_leaves_nothing_to_spin_on() -> None:
+    """Refused datagrams stand in the socket's error queue; read, the selector waits again."""
+    gone = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    gone.bind(("127.0.0.1", 0))
+    port = UdpPort(("127.0.0.1", 0), gone.getsockname(), "onboard")
+    gone.close()
+    with selectors.DefaultSelector() as selector:
+        selector.register(port.socket, selectors.EVENT_READ)
+        for _ in range(3):
+            port.links[0].send_bytes(b"x")
+            assert selector.select(1.0)
+            port.receive(port.socket)
+            assert not selector.select(0.0)
+    port.close()
