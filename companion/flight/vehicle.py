@@ -34,22 +34,13 @@ TRIES = 4
 _TIMESYNC: int = mav.MAVLINK_MSG_ID_TIMESYNC
 _COMMAND_ACK: int = mav.MAVLINK_MSG_ID_COMMAND_ACK
 _PARAM_VALUE: int = mav.MAVLINK_MSG_ID_PARAM_VALUE
-HEARD = (
-    STATE_MESSAGES
-    | STATUS_MESSAGES
-    | TRUTH_MESSAGES
-    | {_TIMESYNC, _COMMAND_ACK, _PARAM_VALUE, mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION}
-    | {mav.MAVLINK_MSG_ID_RC_CHANNELS}
-)
-"""Messages that somebody here looks into. Half of what an autopilot sends is not among them."""
 
 
 class Vehicle:
-    """See the module. `on_state` is called with every new state, `on_message` with every message of HEARD before that."""
+    """See the module. `on_state` is called with every new state, `on_message` with every message before that."""
 
     def __init__(self, link: Link, silence_limit_s: float) -> None:
         self.link = link
-        link.wanted = HEARD
         self.adapter: Adapter
         self.status = VehicleStatus()
         self.state: VehicleState | None = None

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Container
+from collections.abc import Callable
 from typing import Any, Protocol
 
 from companion.mavlink.framing import Framer, is_signed
@@ -72,8 +72,6 @@ class Link:
         self._expected_sequence: int | None = None
         self._boot_time_s = 0.0
         self._clock_moved_ns = now_ns()
-        self.wanted: Container[int] | None = None
-        """Numbers of the messages that `receive` hands out, None for all. The rest are believed, counted and logged too."""
         self.target_system: int | None = None
         self.heartbeat: Message | None = None
         self.counters: Counter[str] = Counter()
@@ -117,7 +115,7 @@ class Link:
         return {text: self.counters[reason] for reason, text in words.items() if self.counters[reason]}
 
     def receive(self, timeout_s: float) -> Message | None:
-        """The autopilot's next message, of those `wanted`, waiting at most `timeout_s` for it; None when there is none.
+        """The autopilot's next message, waiting at most `timeout_s` for it; None when there is none.
 
         One at a time, and nothing is believed of a frame before its turn: `autopilot_time_s` and the log then do
         not depend on how many frames happened to arrive together.
@@ -139,7 +137,7 @@ class Link:
         return None
 
     def _believe(self, frame: bytes) -> Message | None:
-        """Read one frame; None for what is damaged, unknown, not our autopilot's, answered here, or not wanted."""
+        """Read one frame; None for what is damaged, unknown, not our autopilot's, or answered here."""
         message = read(frame)
         if message is None:
             self.counters["bad frames"] += 1
@@ -169,7 +167,7 @@ class Link:
                 return None
         elif kind == _HEARTBEAT:
             self.heartbeat = message
-        return message if self.wanted is None or kind in self.wanted else None
+        return message
 
     def _signature_holds(self, frame: bytes) -> bool:
         if self.signer is None:
