@@ -1,6 +1,6 @@
 """Frames whose checksum holds, read only as far as somebody asks.
 
-An autopilot sends some 700 frames in a second of flight, and the flight looks into a third of them. pymavlink's `decode`
+An autopilot sends some 700 frames in a second of flight, and the flight looks into half of them. pymavlink's `decode`
 makes an object of each with all its fields, several times the work of what is needed of it. Here a frame is accepted and
 refused exactly as there (tests/unit/test_mavlink_received.py compares the two), from pymavlink's own tables, but only
 its header is read at once; the fields follow at the first look at one of them. Messages with text in them come rarely,
