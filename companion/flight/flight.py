@@ -15,6 +15,7 @@ from companion.config.settings import FlightSettings
 from companion.control.structs import ControlLevel, Reference
 from companion.flight.control_loop import ControlLoop, Watching, at_rest, level_with_heading, yaw_of
 from companion.flight.fence import require_inside
+from companion.flight.lift_off import LiftOffDetector
 from companion.flight.outcome import (
     Aborted,
     FlightEnd,
@@ -223,7 +224,8 @@ class Flight:
         assert vehicle.state is not None
         loop.idle(level_with_heading(ground.yaw_rad))
         loop.lift_off(vehicle.state.time_s, vehicle.adapter.spool_time_s, self._watch_over(ground))
-        vehicle.until(lambda: self._left(ground), vehicle.adapter.spool_time_s + 15.0, "lift-off")
+        detector = LiftOffDetector(settings.procedure)
+        vehicle.until(lambda: self._left(detector), vehicle.adapter.spool_time_s + 15.0, "lift-off")
         self._airborne = True
         state = vehicle.state
         rising = np.array([0.0, 0.0, max(0.0, float(state.velocity_enu[2]))])
@@ -288,14 +290,11 @@ class Flight:
         assert state is not None
         return at_rest(state.position_enu, yaw_of(state.quaternion_wxyz))
 
-    def _left(self, ground: Reference) -> bool:
-        state, settings = self._vehicle.state, self._settings
+    def _left(self, detector: LiftOffDetector) -> bool:
+        state, loop = self._vehicle.state, self._loop
         assert state is not None
-        height_m = float(state.position_enu[2] - ground.position_enu[2])
-        rising = float(state.velocity_enu[2]) > settings.procedure.lift_off_speed_m_s
-        return (
-            height_m > settings.procedure.lift_off_height_m and rising
-        ) or height_m > 3.0 * settings.procedure.lift_off_height_m
+        height_m, speed_m_s = float(state.position_enu[2]), float(state.velocity_enu[2])
+        return detector.has_left(state.time_s, height_m, speed_m_s, loop.lift_off_thrust / loop.hover_thrust)
 
     def _lay_out(self, ground: Reference) -> FlightPlan:
         settings, request = self._settings, self._request

@@ -131,6 +131,7 @@ def fly(settings: Settings, options: SessionOptions, reporter: Reporter) -> Flig
         link.close()
         if poses is not None:
             poses.close()
+        realtime.restore()
 
 
 def check(
