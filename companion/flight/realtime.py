@@ -39,7 +39,7 @@ def prepare() -> list[str]:
 
 
 def restore() -> None:
-    """Take `prepare` back: a process that goes on after its flight, and all it starts, must not keep others off the cores."""
+    """Take `prepare` back, for a process that goes on after its flight: neither it nor what it starts may starve others."""
     with suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     with suppress(OSError, AttributeError):
