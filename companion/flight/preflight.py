@@ -21,7 +21,7 @@ from companion.mavlink.protocol import message_interval, request_message
 
 MEASURE_S = 1.0
 _SHARE_WARNED = 0.8  # of a stream's rate asked for
-_ROUND_TRIP_WARNED_S, _ROUND_TRIP_REFUSED_S = 0.05, 0.25
+_ROUND_TRIP_WARNED_S, _ROUND_TRIP_REFUSED_S = 0.05, 0.15
 _LOSS_WARNED, _LOSS_REFUSED = 0.01, 0.2
 _BATTERY_WARNED, _BATTERY_REFUSED = 0.35, 0.15  # the flight itself ends at limits.battery_remaining
 _HOVER_MISMATCH = 0.25
