@@ -7,6 +7,7 @@ companion, and nothing more; everything is done in the caller's thread, in the o
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from collections import Counter
@@ -31,6 +32,7 @@ _NOT_AUTOPILOTS = (mav.MAV_AUTOPILOT_INVALID,)
 REFUSAL_PERIOD_S = (
     0.1  # between answers to commands for us, so that who floods us with them cannot fill the wire
 )
+QUESTIONS_REMEMBERED = 32  # of TIMESYNC; at 10 Hz an answer may take 3 s
 _COMMANDS = (mav.MAVLINK_MSG_ID_COMMAND_LONG, mav.MAVLINK_MSG_ID_COMMAND_INT)
 _STAMPED_WITH_A_SETPOINT = (
     mav.MAVLINK_MSG_ID_ATTITUDE_TARGET,
@@ -71,6 +73,7 @@ class Link:
         self._last_refusal_ns = -(1 << 62)
         self._last_heartbeat_autopilot_s = -1e9
         self._last_timesync_autopilot_s = -1e9
+        self._asked_at: dict[int, float] = {}  # our TIMESYNC questions: our time (ns), the autopilot's (s)
         self._expected_sequence: int | None = None
         self._boot_time_s = 0.0
         self._clock_moved_ns = now_ns()
@@ -163,7 +166,8 @@ class Link:
         if self._tap is not None:
             self._tap(False, self._boot_time_s, bytes(frame))
         if message.get_msgId() == mav.MAVLINK_MSG_ID_TIMESYNC and message.tc1 != 0:
-            self.timesync.add(message.ts1, message.tc1, self.last_message_ns)
+            asked_s = self._asked_at.get(message.ts1, math.nan)
+            self.timesync.add(message.ts1, message.tc1, self.last_message_ns, self._boot_time_s - asked_s)
             return None
         if message.get_msgId() == mav.MAVLINK_MSG_ID_HEARTBEAT:
             self.heartbeat = message
@@ -281,6 +285,9 @@ class Link:
             )
         if not alone and abs(self._boot_time_s - self._last_timesync_autopilot_s) >= 0.1:
             self._last_timesync_autopilot_s = self._boot_time_s
+            self._asked_at[now_ns] = self._boot_time_s
+            while len(self._asked_at) > QUESTIONS_REMEMBERED:
+                del self._asked_at[next(iter(self._asked_at))]
             self.send(mav.MAVLink_timesync_message(0, now_ns))
 
     def take_notices(self) -> list[str]:
