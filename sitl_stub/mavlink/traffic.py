@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from sitl_stub.mavlink.codec import MAVLINK2_MAGIC, Received
 
-RATE_WINDOW_US = 1_000_000
+RATE_WINDOW_US = 900_000
+"""Rates are means over at least this: a report that comes once a second renews them each time."""
 
 
 class LinkTraffic:
@@ -41,7 +42,7 @@ class LinkTraffic:
         self.overflows = 0
         """Messages that were not sent because the client did not take those before."""
         self.sent_bytes_s = self.received_bytes_s = 0.0
-        """Means over the last whole window, bytes/s (`measure`)."""
+        """Means over the last window, bytes/s (`measure`)."""
         self._last_sequence: dict[tuple[int, int], int] = {}
         self._marked_us: int | None = None
         self._marked_sent = self._marked_received = 0
@@ -76,7 +77,7 @@ class LinkTraffic:
         return sequence - expected if sequence >= expected else sequence + 255 - expected
 
     def measure(self, time_us: int) -> None:
-        """Renew the rates where a window of one second is over at `time_us`."""
+        """Renew the rates where a window is over at `time_us`."""
         if self._marked_us is None:
             self._marked_us = time_us
         elif time_us - self._marked_us >= RATE_WINDOW_US:
