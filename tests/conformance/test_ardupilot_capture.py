@@ -19,6 +19,8 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 import ardupilot_figures
 import ardupilot_scenario
+import compare_ardupilot
+from compare import LEAST_AGREEMENT
 
 from sitl_stub import Stub
 
@@ -46,6 +48,13 @@ def test_fixture_is_what_the_capture_says() -> None:
     fresh = json.loads(json.dumps(ardupilot_figures.figures(ardupilot_figures.read_capture())))
     for name, value in fresh.items():
         assert CAPTURED[name] == value, name
+
+
+def test_at_least_95_percent_agree_and_the_rest_has_a_reason(flown: dict[str, Any]) -> None:
+    lines = list(compare_ardupilot.compare(flown, CAPTURED))
+    differ = [line for line in lines if not line.agrees]
+    assert len(lines) - len(differ) >= LEAST_AGREEMENT * len(lines), differ
+    assert {line.what for line in differ} <= {*compare_ardupilot.MEANT, "rate of TIMESYNC"}
 
 
 def test_same_acknowledgements_in_the_same_order(flown: dict[str, Any]) -> None:
