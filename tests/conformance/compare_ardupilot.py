@@ -31,7 +31,6 @@ MEANT = {
     "heartbeat change 12": "landed and not yet disarmed lasts half a second: a HEARTBEAT of the stub's phase misses it",
     "heartbeat change 13": "follows the one before",
     "ack 1": "asks for the stream the capture's clock is read from: when it came is not in the capture",
-    "rate of PARAM_VALUE": "the stub saves no statistics and so announces none",
 }
 
 

@@ -4,7 +4,6 @@ Meant differences, each with its reason:
 - steps are timed from the first movement of the autopilot's own target: the capture's simulator, at four times real time,
   took our setpoints some 25 ms of its time late, which is no property of the autopilot;
 - TIMESYNC requests come with every instant instead of every 10 s: that is what lockstep is;
-- statistics that ArduCopter saves while it runs (STAT_RUNTIME and its like) are not announced: nothing is saved;
 - a heading that is not zero at boot, and the second the autopilot had before the capture began.
 """
 
@@ -27,7 +26,6 @@ from sitl_stub import Stub
 pytestmark = pytest.mark.flight
 
 CAPTURED = ardupilot_figures.capture_figures()
-NOT_SENT = {"PARAM_VALUE"}
 OTHER_IN_LOCKSTEP = {"TIMESYNC"}
 LANDED_STILL_ARMED = [217, 9, 3]
 FROM_S = 5.6
@@ -98,7 +96,7 @@ def test_same_texts_in_the_same_order(flown: dict[str, Any]) -> None:
 
 def test_stream_rates_within_ten_percent(flown: dict[str, Any]) -> None:
     for name, rate in CAPTURED["rates_hz"].items():
-        if name not in NOT_SENT | OTHER_IN_LOCKSTEP:
+        if name not in OTHER_IN_LOCKSTEP:
             assert flown["rates_hz"].get(name, 0.0) == pytest.approx(rate, rel=0.1, abs=0.02), name
     assert not set(flown["rates_hz"]) - set(CAPTURED["rates_hz"])
 
