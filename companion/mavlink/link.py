@@ -283,6 +283,11 @@ class Link:
             self._last_timesync_autopilot_s = self._boot_time_s
             self.send(mav.MAVLink_timesync_message(0, now_ns))
 
+    @property
+    def not_open(self) -> str:
+        """Why the wire's connection has never been there, and the remedy; empty where it has been."""
+        return self._transport.not_open
+
     def take_notices(self) -> list[str]:
         """What happened to the wire since last asked, in sentences."""
         notices = list(self._transport.notices)
