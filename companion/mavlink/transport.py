@@ -57,7 +57,7 @@ class Transport:
 
     @property
     def not_open(self) -> str:
-        """Why there is no connection yet, and the remedy; empty once there has been one, and where there is none to open."""
+        """Why there has been no connection yet, and the remedy; empty once there was one, and where none is needed."""
         return ""
 
     def close(self) -> None:

@@ -53,7 +53,9 @@ def test_a_simulator_that_is_started_later_is_waited_for(tmp_path: Path) -> None
 
 def test_a_simulator_that_never_comes_is_one_line(tmp_path: Path) -> None:
     port = free_port()
-    with pytest.raises(UserError, match=r"no autopilot within 1 s; nobody listens there; is the autopilot or sim"):
+    with pytest.raises(
+        UserError, match=r"no autopilot within 1 s; nobody listens there; is the autopilot or sim"
+    ):
         companion(f"tcp:127.0.0.1:{port}", tmp_path, settings={"procedure.connect_timeout_s": 1.0})
 
 
