@@ -134,6 +134,7 @@ class Flight:
         self._announced_mode = -1
         self._announced_armed = False
         self._next_progress_s = -math.inf
+        self._next_waiting_s = _PROGRESS_S
         self.phase = Phase.CONNECT
 
     def run(self) -> FlightResult:
@@ -145,7 +146,7 @@ class Flight:
         self._vehicle.watch = self._watch
         try:
             self._enter(Phase.CONNECT)
-            self._vehicle.connect(self._settings.procedure.connect_timeout_s)
+            self._vehicle.connect(self._settings.procedure.connect_timeout_s, self._report_waiting)
             self._vehicle.on_message = self._on_message
             self._prepare()
             self._take_off()
@@ -514,6 +515,12 @@ class Flight:
         if now_s >= self._next_progress_s:
             self._next_progress_s = now_s + _PROGRESS_S
             self._report_progress()
+
+    def _report_waiting(self, waited_s: float) -> None:
+        if waited_s >= self._next_waiting_s:
+            self._next_waiting_s = waited_s + _PROGRESS_S
+            timeout_s = self._settings.procedure.connect_timeout_s
+            self._reporter.progress(self.phase, waited_s, timeout_s, "waiting for an autopilot's HEARTBEAT")
 
     def _report_progress(self) -> None:
         vehicle, plan = self._vehicle, self._plan

@@ -161,6 +161,7 @@ def check(
     link = connection.open(reporter.say)
     try:
         vehicle = Vehicle(link, settings.flight.safety.silence_s)
+        vehicle.on_notice = reporter.say
         vehicle.connect(settings.flight.procedure.connect_timeout_s)
         version = ".".join(map(str, vehicle.version))
         reporter.say(f"{vehicle.adapter.name} {version}, system {link.target_system}")

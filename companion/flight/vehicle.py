@@ -138,22 +138,27 @@ class Vehicle:
 
     # Getting to know it -----------------------------------------------------------------------------
 
-    def connect(self, timeout_s: float) -> None:
+    def connect(self, timeout_s: float, waiting: Callable[[float], None] = lambda _: None) -> None:
         """Wait for an autopilot's HEARTBEAT, choose its adapter, ask what it is (AUTOPILOT_VERSION).
+
+        `waiting` is called with the time waited so far, s.
 
         Raises:
             UserError: nobody there, not an autopilot we know, not a multirotor.
         """
-        deadline = time.monotonic() + timeout_s
+        started_s = time.monotonic()
         while self.link.heartbeat is None:
+            waited_s = time.monotonic() - started_s
+            waiting(waited_s)
             self.watch()
             self._pass_notices()
             self.link.keep_alive()
             message = self.link.receive(POLL_S)
             if message is not None:
                 self._handle(message)
-            if time.monotonic() > deadline and self.link.heartbeat is None:
+            if waited_s > timeout_s and self.link.heartbeat is None:
                 raise UserError(self._why_nobody(timeout_s))
+        self._pass_notices()
         heartbeat = self.link.heartbeat
         self.adapter = adapter_for(heartbeat.autopilot, heartbeat.type)
         self.parameters.bytewise = self.adapter.bytewise_parameters
@@ -185,7 +190,9 @@ class Vehicle:
     def _why_nobody(self, timeout_s: float) -> str:
         counters = self.link.counters
         refused = self.link.refused
-        if refused:
+        if self.link.not_open:
+            heard = self.link.not_open
+        elif refused:
             heard = (
                 f"{sum(refused.values())} frames refused: not signed with this key "
                 f"({', '.join(f'{count} {reason}' for reason, count in refused.items())}); "

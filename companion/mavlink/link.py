@@ -288,6 +288,11 @@ class Link:
                 del self._asked_at[next(iter(self._asked_at))]
             self.send(mav.MAVLink_timesync_message(0, now_ns))
 
+    @property
+    def not_open(self) -> str:
+        """Why the wire's connection has never been there, and the remedy; empty where it has been."""
+        return self._transport.not_open
+
     def take_notices(self) -> list[str]:
         """What happened to the wire since last asked, in sentences."""
         notices = list(self._transport.notices)
