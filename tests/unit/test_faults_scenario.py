@@ -226,14 +226,14 @@ def test_late_frames_in_lockstep_keep_their_numbers_whole(tmp_path: Path) -> Non
     file.write_text("".join(f'[[fault]]\nkind = "{kind}"\nat_s = 0.5\nfor_s = 1.0\n' for kind in kinds))
     with Stub(lockstep=True, scenario=file) as stub:
         client = LockstepClient(stub)
-        numbers: list[int] = []
+        kinds_seen: list[str] = []
         client.run(0.4)
         before = client.connection.mav_loss  # of probes before it had its socket open
-        client.run(2.5, lambda mav, message: numbers.append(message.get_seq()))
+        client.run(2.5, lambda mav, message: kinds_seen.append(message.get_type()))
         lost = client.connection.mav_loss - before
         client.close()
-    assert len(numbers) > 500
-    assert lost == 0
+    assert len(kinds_seen) > 500
+    assert lost == sum(kind.startswith("UNKNOWN_") for kind in kinds_seen)  # pymavlink takes those for lost
 
 
 def test_wrong_injections_are_value_errors_and_the_stub_lives_on() -> None:
