@@ -69,6 +69,7 @@ TARGETS = {
         "file_targets", "configuration", "configuration_seeds", (), ("companion.config",)
     ),
     "trajectories": Target("file_targets", "trajectories", "trajectory_seeds", (), ("companion.reference",)),
+    "scenarios": Target("file_targets", "scenarios", "scenario_seeds", (), ("sitl_stub.faults",)),
     "logs": Target("file_targets", "logs", "log_seeds", (), ("companion.flightlog", "mcap")),
 }
 
