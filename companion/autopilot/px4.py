@@ -41,6 +41,7 @@ _AUTO_NAMES = {
 LAST_ACTUATOR_VERSION = (1, 13, 3)
 """The last release that acts on SET_ACTUATOR_CONTROL_TARGET; from 1.14 it arrives and nothing happens."""
 
+_HEIGHT_FROM_VISION = 3.0  # of EKF2_HGT_REF
 _LOSS_ACTIONS = {
     -1: "disabled",
     0: "position",
@@ -93,6 +94,8 @@ class Px4(Adapter):
             "COM_RCL_EXCEPT",
             "COM_SPOOLUP_TIME",
             "COM_DISARM_PRFLT",
+            "EKF2_HGT_REF",
+            "EKF2_RNG_CTRL",
         )
 
     def check(
@@ -179,6 +182,16 @@ class Px4(Adapter):
                     f"{override:.0f}",
                     "moving the sticks does not take the vehicle out of offboard; the mode switch does",
                     f"param set COM_RC_OVERRIDE {int(override) | 2}",
+                )
+            )
+        if parameters.get("EKF2_HGT_REF") == _HEIGHT_FROM_VISION and parameters.get("EKF2_RNG_CTRL") == 1.0:
+            findings.append(
+                Finding(
+                    Verdict.WARNING,
+                    "EKF2_RNG_CTRL",
+                    "1 (conditional)",
+                    "low and slow, a range finder takes the height reference from the poses, and height drifts off them",
+                    "param set EKF2_RNG_CTRL 0",
                 )
             )
         return findings

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from companion.config.settings import FlightSettings
 from companion.control.structs import ControlLevel, Reference
 from companion.flight.control_loop import ControlLoop, Watching, at_rest, level_with_heading, yaw_of
 from companion.flight.fence import require_inside
+from companion.flight.lift_off import LiftOffDetector
 from companion.flight.outcome import (
     Aborted,
     FlightEnd,
@@ -50,6 +52,9 @@ _STANDING = (
 _FLYING = (mav.MAV_LANDED_STATE_IN_AIR, mav.MAV_LANDED_STATE_TAKEOFF)
 REAL_TIME_TOLERANCE = 0.02  # of the time passed: a lockstep simulation runs at any other speed
 _DISARM_TIMEOUT_S = 1.5  # until HEARTBEAT shows what a COMMAND_ACK has said
+_STAYS_DISARMED_S = 1.0  # longer than a frame is held up on its way
+_FALL_S = 0.5  # how long a vehicle that was disarmed while landing is looked at
+_FALLING_M_S = 2.0  # faster than an autopilot lets down; reached after 0.2 s without motors
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +128,7 @@ class Flight:
         self._supervisor: Supervisor | None = None
         self._watchdog = LoopWatchdog(settings.safety.stall_s, self._note_stall)
         self._real_time = False
+        self._ground_m = 0.0  # height of the place of take-off in the local frame
         self._clocks_s = (0.0, 0.0)  # the autopilot's and ours, when it was ready
         self._answered_interrupts = 0
         self._announced_mode = -1
@@ -145,8 +151,8 @@ class Flight:
             self._prepare()
             self._take_off()
             self._follow_plan()
-            self._land("the plan is flown")
-            result = FlightResult(Outcome.COMPLETED, "flown as planned, landed and disarmed")
+            how = self._land("the plan is flown")
+            result = FlightResult(Outcome.COMPLETED, f"flown as planned, {how}")
         except FlightEnd as end:
             result = self._end_safely(end)
         except WaitedTooLong as waited:
@@ -203,6 +209,7 @@ class Flight:
     def _take_off(self) -> None:
         vehicle, settings, loop = self._vehicle, self._settings, self._loop
         ground = self._ground()
+        self._ground_m = float(ground.position_enu[2])
         self._plan = self._lay_out(ground)
         self._check_plan(self._plan, float(ground.position_enu[2]))
         require_inside(settings.safety, self._plan, ground.position_enu)
@@ -224,7 +231,8 @@ class Flight:
         assert vehicle.state is not None
         loop.idle(level_with_heading(ground.yaw_rad))
         loop.lift_off(vehicle.state.time_s, vehicle.adapter.spool_time_s, self._watch_over(ground))
-        vehicle.until(lambda: self._left(ground), vehicle.adapter.spool_time_s + 15.0, "lift-off")
+        detector = LiftOffDetector(settings.procedure)
+        vehicle.until(lambda: self._left(detector), vehicle.adapter.spool_time_s + 15.0, "lift-off")
         self._airborne = True
         state = vehicle.state
         rising = np.array([0.0, 0.0, max(0.0, float(state.velocity_enu[2]))])
@@ -289,14 +297,11 @@ class Flight:
         assert state is not None
         return at_rest(state.position_enu, yaw_of(state.quaternion_wxyz))
 
-    def _left(self, ground: Reference) -> bool:
-        state, settings = self._vehicle.state, self._settings
+    def _left(self, detector: LiftOffDetector) -> bool:
+        state, loop = self._vehicle.state, self._loop
         assert state is not None
-        height_m = float(state.position_enu[2] - ground.position_enu[2])
-        rising = float(state.velocity_enu[2]) > settings.procedure.lift_off_speed_m_s
-        return (
-            height_m > settings.procedure.lift_off_height_m and rising
-        ) or height_m > 3.0 * settings.procedure.lift_off_height_m
+        height_m, speed_m_s = float(state.position_enu[2]), float(state.velocity_enu[2])
+        return detector.has_left(state.time_s, height_m, speed_m_s, loop.lift_off_thrust / loop.hover_thrust)
 
     def _lay_out(self, ground: Reference) -> FlightPlan:
         settings, request = self._settings, self._request
@@ -387,8 +392,8 @@ class Flight:
                 self._reporter.say(f"holding: {loop.held}")
                 self._vehicle.until(lambda: False)  # until the supervisor, the pilot or the user ends it
 
-    def _land(self, why: str) -> None:
-        """Let the autopilot land and wait until it has disarmed."""
+    def _land(self, why: str) -> str:
+        """Let the autopilot land and wait until it has disarmed; returns how it came down, for the last word."""
         vehicle = self._vehicle
         self._enter(Phase.LAND)
         self._reporter.say(f"landing: {why}")
@@ -415,7 +420,35 @@ class Flight:
                 f"still armed {timeout_s:.0f} s after LAND; it is in "
                 f"{vehicle.adapter.mode_name(vehicle.status.custom_mode)} and flies without us"
             ) from None
+        how = self._how_it_came_down()
         self._enter(Phase.DONE)
+        return how
+
+    def _how_it_came_down(self) -> str:
+        """Just disarmed while landing: on the ground, unless it falls now, for who disarmed it was not us.
+
+        Raises:
+            PilotTookOver: it falls.
+        """
+        vehicle, assembler = self._vehicle, self._vehicle.assembler
+        said_landed = vehicle.status.landed_state == mav.MAV_LANDED_STATE_ON_GROUND
+        seen_s, height_m = assembler.position_time_s, self._height_m()
+        with suppress(WaitedTooLong, LinkLost):
+            vehicle.until(self._falls, _FALL_S)
+        if self._falls():
+            raise PilotTookOver(
+                f"disarmed in the air while landing, {height_m:.1f} m above the place of take-off"
+            )
+        if assembler.position_time_s == seen_s and not said_landed:
+            return "disarmed, where is not known: no position has come since"
+        return "landed and disarmed"
+
+    def _falls(self) -> bool:
+        return float(self._vehicle.assembler.velocity_enu[2]) < -_FALLING_M_S
+
+    def _height_m(self) -> float:
+        state = self._vehicle.state
+        return math.nan if state is None else float(state.position_enu[2]) - self._ground_m
 
     def _not_ours(self) -> bool:
         status = self._vehicle.status
@@ -539,8 +572,7 @@ class Flight:
         if isinstance(end, (Interrupted, Aborted)):
             if isinstance(end, Aborted):
                 self._loop.stop()
-            self._land_whatever(str(end))
-            return FlightResult(end.outcome, f"{end}; landed and disarmed")
+            return FlightResult(end.outcome, f"{end}; {self._land_whatever(str(end))}")
         if hasattr(self, "_loop"):
             self._loop.stop()
         if isinstance(end, MotorsStopped):
@@ -551,9 +583,8 @@ class Flight:
             self._enter(Phase.WATCH)
             self._reporter.say(f"{end.outcome.value}: {end}")
             self._reporter.say("no more setpoints; logging until the vehicle is disarmed (Ctrl-C ends it)")
-            vehicle = self._vehicle
             try:
-                vehicle.until(lambda: not vehicle.status.armed)
+                self._vehicle.until(self._vehicle.disarmed_for(_STAYS_DISARMED_S))
             except (Interrupted, HandedBack, LinkLost):
                 return FlightResult(end.outcome, f"{end}; not watched to the end")
             return FlightResult(end.outcome, f"{end}; disarmed later")
@@ -561,12 +592,12 @@ class Flight:
             self._hand_back()
         return FlightResult(end.outcome, str(end))
 
-    def _land_whatever(self, why: str) -> None:
+    def _land_whatever(self, why: str) -> str:
         """Land; a first wish to stop is what is being done already, a second one ends it."""
         try:
-            self._land(why)
+            return self._land(why)
         except Interrupted:
-            self._land(why)
+            return self._land(why)
 
     def _stay_down(self, end: FlightEnd, engaged: bool) -> FlightResult:
         """On the ground, as far as we know: disarm, leave our mode. What will not disarm has left the ground: land."""
@@ -577,10 +608,9 @@ class Flight:
             return FlightResult(end.outcome, str(end))
         vehicle.command(DISARM)  # armed or not: our ARM may be under way still
         try:
-            vehicle.until(lambda: not vehicle.status.armed, _DISARM_TIMEOUT_S)
+            vehicle.until(vehicle.disarmed_for(_STAYS_DISARMED_S), _STAYS_DISARMED_S + _DISARM_TIMEOUT_S)
         except WaitedTooLong:
-            self._land_whatever(str(end))
-            return FlightResult(end.outcome, f"{end}; landed and disarmed")
+            return FlightResult(end.outcome, f"{end}; {self._land_whatever(str(end))}")
         vehicle.command(vehicle.adapter.mode(Intent.HOLD))
         return FlightResult(end.outcome, str(end))
 

@@ -21,7 +21,7 @@ from companion.mavlink.protocol import message_interval, request_message
 
 MEASURE_S = 1.0
 _SHARE_WARNED = 0.8  # of a stream's rate asked for
-_ROUND_TRIP_WARNED_S, _ROUND_TRIP_REFUSED_S = 0.05, 0.25
+_ROUND_TRIP_WARNED_S, _ROUND_TRIP_REFUSED_S = 0.05, 0.15
 _LOSS_WARNED, _LOSS_REFUSED = 0.01, 0.2
 _BATTERY_WARNED, _BATTERY_REFUSED = 0.35, 0.15  # the flight itself ends at limits.battery_remaining
 _HOVER_MISMATCH = 0.25
@@ -43,9 +43,8 @@ class Measured:
 
     state_rate_hz: float
     position_rate_hz: float
-    round_trip_s: float  # nan where TIMESYNC was not answered
+    round_trip_s: float  # nan where TIMESYNC was not answered; a simulation's in its own time
     loss_ratio: float
-    steady_clock: bool  # the autopilot's clock runs as fast as ours: real time
 
 
 class Preflight:
@@ -192,12 +191,12 @@ class Preflight:
         finally:
             vehicle.on_state, vehicle.on_message = on_state, on_message
         span_s = vehicle.link.autopilot_time_s - started_s
+        timesync = vehicle.link.timesync
         return Measured(
             seen[mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION] / span_s,
             seen[mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED] / span_s,
-            vehicle.link.timesync.round_trip_s,
+            timesync.round_trip_s if timesync.steady else timesync.autopilot_trip_s,
             vehicle.link.loss_ratio,
-            vehicle.link.timesync.steady,
         )
 
     def link_findings(self, measured: Measured) -> list[Finding]:
@@ -223,7 +222,7 @@ class Preflight:
         trip_s = measured.round_trip_s
         known = trip_s == trip_s
         trip = _graded(
-            known and (trip_s < _ROUND_TRIP_WARNED_S or not measured.steady_clock),
+            known and trip_s < _ROUND_TRIP_WARNED_S,
             not known or trip_s < _ROUND_TRIP_REFUSED_S,
             "round trip",
             f"{trip_s * 1e3:.1f} ms" if known else "TIMESYNC not answered",

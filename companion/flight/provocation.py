@@ -39,6 +39,7 @@ FRAMES_A_STATE = 10
 @dataclass
 class _TimeSync:
     round_trip_s: float = 0.002
+    autopilot_trip_s: float = 0.01
 
 
 @dataclass

@@ -42,7 +42,7 @@ from companion.mavlink.link import mav
 from companion.mavlink.outside_poses import DEFAULT_RATE_HZ, OutsidePoses
 from companion.reference.feasibility import VehicleLimits, check_feasibility
 from companion.reference.registry import trajectory_from_text
-from companion.reference.trajectory import Frame
+from companion.reference.trajectory import Frame, Trajectory
 
 _PACKAGES = ("dtlannc-companion", "numpy", "numba", "pymavlink", "mcap")
 
@@ -73,11 +73,24 @@ def fly(settings: Settings, options: SessionOptions, reporter: Reporter) -> Flig
     trajectory = trajectory_from_text(settings.flight.trajectory)
     _law(settings, None).warm_up()  # seconds, so before anybody is listening to us
     Predictor(settings.profile, settings.level)
-    if options.real_time:
-        for line in realtime.prepare():
-            reporter.say(line)
-    else:
-        realtime.freeze_collector()
+    try:
+        if options.real_time:
+            for line in realtime.prepare():
+                reporter.say(line)
+        else:
+            realtime.freeze_collector()
+        return _fly(settings, options, reporter, trajectory, plan)
+    finally:
+        realtime.restore()
+
+
+def _fly(
+    settings: Settings,
+    options: SessionOptions,
+    reporter: Reporter,
+    trajectory: Trajectory,
+    plan: LinePlan | None,
+) -> FlightResult:
     poses = OutsidePoses(options.outside_poses, options.pose_rate_hz) if options.outside_poses else None
     link = options.connection.open(reporter.say)
     try:

@@ -303,9 +303,9 @@ class Supervisor:
         values[INDEX["sensors_unhealthy"]] = status.sensors_unhealthy
         values[INDEX["battery_remaining"]] = status.battery_remaining
         values[INDEX["battery_voltage_v"]] = status.battery_voltage_v
-        if self._real_time:
-            round_trip_s = self._link.timesync.round_trip_s
-            values[INDEX["round_trip_s"]] = None if math.isnan(round_trip_s) else round_trip_s
+        timesync = self._link.timesync
+        trip_s = timesync.round_trip_s if self._real_time else timesync.autopilot_trip_s
+        values[INDEX["round_trip_s"]] = None if math.isnan(trip_s) else trip_s
         counters, seen = self._link.counters, self._received
         seen.append((time_s, counters["received"], counters["lost"]))
         while seen[0][0] < time_s - LOSS_WINDOW_S:

@@ -84,6 +84,25 @@ class Vehicle:
             if self.link.autopilot_time_s - started_s > timeout_s:
                 raise WaitedTooLong(f"{what or 'the autopilot'}: nothing after {timeout_s:.0f} s")
 
+    def disarmed_for(self, lasts_s: float) -> Callable[[], bool]:
+        """A condition for `until`: HEARTBEATs have said disarmed for `lasts_s` of the autopilot's time.
+
+        One alone may have been held up on its way, and tell of how it was before.
+        """
+        link, since_s, first = self.link, math.nan, self.link.heartbeat
+
+        def holds() -> bool:
+            nonlocal since_s, first
+            if self.status.armed:
+                since_s = math.nan
+                return False
+            if math.isnan(since_s):
+                since_s, first = link.autopilot_time_s, link.heartbeat
+            passed_s = abs(link.autopilot_time_s - since_s)  # a clock that starts again counts from there
+            return passed_s >= lasts_s and link.heartbeat is not first
+
+        return holds
+
     def _pass_notices(self) -> None:
         for text in self.link.take_notices():
             self.on_notice(text)

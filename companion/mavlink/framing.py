@@ -34,12 +34,6 @@ def message_id(frame: bytes | bytearray) -> int:
     return frame[5] if frame[0] == MAGIC_V1 else frame[7] | frame[8] << 8 | frame[9] << 16
 
 
-def sender(frame: bytes | bytearray) -> tuple[int, int, int]:
-    """Sequence number, system and component in a whole frame's header."""
-    sequence, system, component = frame[2:5] if frame[0] == MAGIC_V1 else frame[4:7]
-    return sequence, system, component
-
-
 def is_signed(frame: bytes | bytearray) -> bool:
     """Whether a whole frame ends with a signature (MAVLink 2 only)."""
     return frame[0] == MAGIC_V2 and bool(frame[2] & SIGNED_FLAG)
@@ -56,7 +50,7 @@ class Framer:
         """`known`: numbers of the messages whose checksum can be checked. `stream`: one read may end inside a frame."""
         self._known = known
         self._stream = stream
-        self._data = bytearray()
+        self._data: bytes | bytearray = bytearray()  # one datagram, or what a stream has brought so far
         self._chunks: deque[bytes] = deque()
         self._position = 0
         self._start = 0  # of the last candidate
@@ -67,24 +61,32 @@ class Framer:
         if not self._stream:
             self._chunks.append(chunk)
             return
+        assert isinstance(self._data, bytearray)
         del self._data[: self._position]
         self._position = 0
         self._data += chunk
 
-    def next_frame(self) -> bytearray | None:
+    def next_frame(self) -> bytes | None:
         """The next candidate; None when there is no whole one."""
         while True:
-            frame = self._search()
-            if frame is not None or not self._chunks:
-                return frame
-            self._data, self._position = bytearray(self._chunks.popleft()), 0
+            if self._position < len(self._data):
+                frame = self._search()
+                if frame is not None:
+                    return frame
+            if not self._chunks:
+                return None
+            chunk = self._chunks.popleft()
+            self._data, self._position = chunk, 0
+            if chunk and frame_length(chunk, 0) == len(chunk):  # as nearly all datagrams are: one frame
+                self._start, self._position = 0, len(chunk)
+                return chunk
 
     def reject(self) -> None:
         """The last candidate was no frame: go on behind its first byte."""
         self._position = self._start + 1
         self.stray_bytes += 1
 
-    def _search(self) -> bytearray | None:
+    def _search(self) -> bytes | None:
         data, end = self._data, len(self._data)
         while self._position < end:
             start = self._position
@@ -93,7 +95,7 @@ class Framer:
             if not whole and self._stream:
                 return None
             if whole and length:
-                frame, after = data[start : start + length], start + length
+                frame, after = bytes(data[start : start + length]), start + length
                 known = message_id(frame) in self._known
                 if not known and after == end and self._stream:
                     return None  # the byte that will follow decides

@@ -7,30 +7,31 @@ companion, and nothing more; everything is done in the caller's thread, in the o
 
 from __future__ import annotations
 
-import os
+import math
 import time
 from collections import Counter
 from collections.abc import Callable
 from typing import Any, Protocol
 
-os.environ.setdefault("MAVLINK20", "1")
-from pymavlink.dialects.v20 import all as every_dialect  # CURRENT_MODE is in no smaller one
-
-from companion.mavlink.framing import Framer, is_signed, sender
+from companion.mavlink.framing import Framer, is_signed
+from companion.mavlink.received import Received, read
+from companion.mavlink.received import mav as mav  # for whoever speaks over the link
 from companion.mavlink.signing import FORGED, REPLAYED, UNSIGNED, Signer
 from companion.mavlink.timesync import TimeSync
 from companion.mavlink.transport import Transport
 
-mav: Any = every_dialect
-Message = Any  # a message object of the pymavlink dialect; its fields are MAVLink's
+Message = Any  # a message that was received, or one of the pymavlink dialect; its fields are MAVLink's
 
 OUR_COMPONENT = mav.MAV_COMP_ID_ONBOARD_COMPUTER  # 191
 HEARTBEAT_PERIOD_S = 1.0
 AUTOPILOT_COMPONENT = mav.MAV_COMP_ID_AUTOPILOT1
+_HEARTBEAT: int = mav.MAVLINK_MSG_ID_HEARTBEAT
+_TIMESYNC: int = mav.MAVLINK_MSG_ID_TIMESYNC
 _NOT_AUTOPILOTS = (mav.MAV_AUTOPILOT_INVALID,)
 REFUSAL_PERIOD_S = (
     0.1  # between answers to commands for us, so that who floods us with them cannot fill the wire
 )
+QUESTIONS_REMEMBERED = 32  # of TIMESYNC; at 10 Hz an answer may take 3 s
 _COMMANDS = (mav.MAVLINK_MSG_ID_COMMAND_LONG, mav.MAVLINK_MSG_ID_COMMAND_INT)
 _STAMPED_WITH_A_SETPOINT = (
     mav.MAVLINK_MSG_ID_ATTITUDE_TARGET,
@@ -63,14 +64,13 @@ class Link:
         self.signer = signer
         self._framer = Framer(mav.mavlink_map, stream=not transport.datagrams)
         self._codec = mav.MAVLink(None, srcSystem=1, srcComponent=OUR_COMPONENT)
-        self._decoder = mav.MAVLink(None)  # knows no key: signatures are judged by the signer
-        self._decoder.robust_parsing = True
         self._tap = tap
         self._now_ns = now_ns
         self._last_heartbeat_ns = 0
         self._last_refusal_ns = -(1 << 62)
         self._last_heartbeat_autopilot_s = -1e9
         self._last_timesync_autopilot_s = -1e9
+        self._asked_at: dict[int, float] = {}  # our TIMESYNC questions: our time (ns), the autopilot's (s)
         self._expected_sequence: int | None = None
         self._boot_time_s = 0.0
         self._clock_moved_ns = now_ns()
@@ -130,18 +130,18 @@ class Link:
         return message
 
     def _next_believed(self) -> Message | None:
-        while (frame := self._framer.next_frame()) is not None:
+        framer = self._framer
+        while (frame := framer.next_frame()) is not None:
             message = self._believe(frame)
             if message is not None:
                 return message
-        self.counters["stray bytes"] = self._framer.stray_bytes
+        self.counters["stray bytes"] = framer.stray_bytes
         return None
 
-    def _believe(self, frame: bytearray) -> Message | None:
-        """Decode one frame; None for what is damaged, unknown, not our autopilot's, or answered here."""
-        try:
-            message = self._decoder.decode(frame)
-        except mav.MAVError:
+    def _believe(self, frame: bytes) -> Message | None:
+        """Read one frame; None for what is damaged, unknown, not our autopilot's, or answered here."""
+        message = read(frame)
+        if message is None:
             self.counters["bad frames"] += 1
             self._framer.reject()
             return None
@@ -149,27 +149,30 @@ class Link:
             if not is_signed(frame):
                 self._refuse_command(message, mav.MAV_RESULT_DENIED)
             return None
-        if message.get_msgId() < 0:
-            self._note_unknown(frame)
+        if message.unknown:
+            self._note_unknown(message)
             return None
         ours = self._is_our_autopilot(message)
         self._refuse_command(message, mav.MAV_RESULT_UNSUPPORTED)
         if not ours:
             self.counters["other senders"] += 1
             return None
-        self._count_loss(message.get_seq())
+        self._count_loss(message.msg_sequence)
         self.last_message_ns = self._now_ns()
         self._note_time(message)
         if self._tap is not None:
-            self._tap(False, self._boot_time_s, bytes(frame))
-        if message.get_msgId() == mav.MAVLINK_MSG_ID_TIMESYNC and message.tc1 != 0:
-            self.timesync.add(message.ts1, message.tc1, self.last_message_ns)
-            return None
-        if message.get_msgId() == mav.MAVLINK_MSG_ID_HEARTBEAT:
+            self._tap(False, self._boot_time_s, frame)
+        kind = message.msg_id
+        if kind == _TIMESYNC:
+            if message.tc1 != 0:
+                asked_s = self._asked_at.get(message.ts1, math.nan)
+                self.timesync.add(message.ts1, message.tc1, self.last_message_ns, self._boot_time_s - asked_s)
+                return None
+        elif kind == _HEARTBEAT:
             self.heartbeat = message
         return message
 
-    def _signature_holds(self, frame: bytearray) -> bool:
+    def _signature_holds(self, frame: bytes) -> bool:
         if self.signer is None:
             if is_signed(frame):
                 self.counters["signed, and we have no key"] += 1
@@ -182,9 +185,9 @@ class Link:
             self._transport.greet_sender()  # an autopilot whose clock is behind takes our time from our frames
         return False
 
-    def _refuse_command(self, message: Message, result: int) -> None:
+    def _refuse_command(self, message: Received, result: int) -> None:
         """Whoever commands the companion itself, signed or not: it takes no commands, and says so when asked by name."""
-        if message.get_msgId() not in _COMMANDS or self.target_system is None:
+        if message.msg_id not in _COMMANDS or self.target_system is None:
             return
         if (message.target_system, message.target_component) != (self.target_system, OUR_COMPONENT):
             return
@@ -193,24 +196,23 @@ class Link:
         if (now_ns - self._last_refusal_ns) * 1e-9 < REFUSAL_PERIOD_S:
             return
         self._last_refusal_ns = now_ns
-        asker = message.get_srcSystem(), message.get_srcComponent()
+        asker = message.msg_system, message.msg_component
         self.send(mav.MAVLink_command_ack_message(message.command, result, 0, 0, *asker))
 
-    def _note_unknown(self, frame: bytearray) -> None:
+    def _note_unknown(self, message: Received) -> None:
         """A message newer than our dialect: counted and logged, not understood."""
         self.counters["unknown messages"] += 1
-        sequence, system, component = sender(frame)
-        if (system, component) == (self.target_system, AUTOPILOT_COMPONENT):
-            self._count_loss(sequence)
+        if (message.msg_system, message.msg_component) == (self.target_system, AUTOPILOT_COMPONENT):
+            self._count_loss(message.msg_sequence)
             if self._tap is not None:
-                self._tap(False, self._boot_time_s, bytes(frame))
+                self._tap(False, self._boot_time_s, message.msg_frame)
 
-    def _is_our_autopilot(self, message: Message) -> bool:
-        system, component = message.get_srcSystem(), message.get_srcComponent()
+    def _is_our_autopilot(self, message: Received) -> bool:
+        system, component = message.msg_system, message.msg_component
         if self.target_system is None:
             if (
                 system == 0  # means everybody, and is nobody's
-                or message.get_msgId() != mav.MAVLINK_MSG_ID_HEARTBEAT
+                or message.msg_id != _HEARTBEAT
                 or component != AUTOPILOT_COMPONENT
                 or message.autopilot in _NOT_AUTOPILOTS
             ):
@@ -231,9 +233,9 @@ class Link:
             self.counters["lost"] += gap
         self._expected_sequence = (sequence + 1) % 256
 
-    def _note_time(self, message: Message) -> None:
-        boot_ms = getattr(message, "time_boot_ms", None)
-        if boot_ms is None or message.get_msgId() in _STAMPED_WITH_A_SETPOINT:
+    def _note_time(self, message: Received) -> None:
+        boot_ms = message.boot_ms
+        if boot_ms is None or message.msg_id in _STAMPED_WITH_A_SETPOINT:
             return
         boot_s = boot_ms * 1e-3
         # Streams are stamped when sampled, so small steps back are normal; a large one is a reboot.
@@ -281,6 +283,9 @@ class Link:
             )
         if not alone and abs(self._boot_time_s - self._last_timesync_autopilot_s) >= 0.1:
             self._last_timesync_autopilot_s = self._boot_time_s
+            self._asked_at[now_ns] = self._boot_time_s
+            while len(self._asked_at) > QUESTIONS_REMEMBERED:
+                del self._asked_at[next(iter(self._asked_at))]
             self.send(mav.MAVLink_timesync_message(0, now_ns))
 
     @property

@@ -21,6 +21,7 @@ from sitl_stub.firmware.ardupilot_ground import GroundSense
 from sitl_stub.firmware.ardupilot_guided import Guided
 from sitl_stub.firmware.ardupilot_modes import BY_NUMBER, Mode, mode_named
 from sitl_stub.firmware.ardupilot_parameters import ArduPilotParameters
+from sitl_stub.firmware.ardupilot_statistics import Statistics
 from sitl_stub.firmware.ardupilot_streams import ArduPilotMessages
 from sitl_stub.firmware.autopilot import Autopilot, Result
 from sitl_stub.firmware.streams import Builder
@@ -79,6 +80,7 @@ class ArduPilot(Autopilot):
         self.boot = Boot(self, self.ready_after_s)
         self.happenings = Happenings(self)
         self.failsafes = Failsafes(self)
+        self.statistics = Statistics(self)
         self.flight.limit_vertical()
         self.flight.rest_on_ground()
 
@@ -330,6 +332,7 @@ class ArduPilot(Autopilot):
         self._disarm_when_idle()
         self.failsafes.update()
         self.happenings.update()
+        self.statistics.update()
 
     def _disarm_when_idle(self) -> None:
         """DISARM_DELAY: armed, on the ground, throttle down, motors idle."""

@@ -296,5 +296,9 @@ class ArduPilotCommands:
         except ParameterError as error:
             a.on_text(str(error))
             return
-        for other in a.links:
-            self._send(other, name, NO_INDEX)
+        self.announce_parameter(name)
+
+    def announce_parameter(self, name: str) -> None:
+        """PARAM_VALUE to everybody, without its index."""
+        for link in self.autopilot.links:
+            self._send(link, name, NO_INDEX)

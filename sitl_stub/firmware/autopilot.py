@@ -249,6 +249,7 @@ class Autopilot:
         self.core.reset_controllers()
         for link in self.links:
             link.writer.sequence = 0
+            link.traffic.clear()
             self.streams.close(link)
             link.firmware_data = self.streams.open(link, self.booted_us)
         self.power_up()
@@ -324,6 +325,7 @@ class Autopilot:
         """Take in one message of a client; while the firmware is starting nobody listens."""
         if self.uptime_us < 0:
             return
+        link.traffic.take(message)
         link.writer.version = message.mavlink_version
         handler = self.messages.get(message.name)
         if handler is None:

@@ -51,11 +51,13 @@ class Px4Version:
     old_mixers: bool
     """Fixed mixers with 1.13's normalisation."""
     speaks_events: bool
-    """Announces with EVENT rather than STATUSTEXT, and sends CURRENT_MODE."""
+    """Announces with EVENT rather than STATUSTEXT."""
+    newer_reports: bool
+    """Sends CURRENT_MODE, the way home in seconds, the receiver's integrity and remote identification."""
 
 
-VERSION_1_17 = Px4Version("px4", 0x011100FF, False, False, True)
-VERSION_1_13 = Px4Version("px4-1.13", 0x010D03FF, True, True, False)
+VERSION_1_17 = Px4Version("px4", 0x011100FF, False, False, True, True)
+VERSION_1_13 = Px4Version("px4-1.13", 0x010D03FF, True, True, False, False)
 
 
 class Px4(Autopilot):

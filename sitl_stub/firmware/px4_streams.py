@@ -15,6 +15,7 @@ from sitl_stub.firmware import control_layout as at
 from sitl_stub.firmware.autopilot import SIMULATED_EPOCH_US
 from sitl_stub.firmware.globe import LocalOrigin
 from sitl_stub.firmware.px4_modes import ARMED_FLAG, CUSTOM_MODE_ENABLED, Mode
+from sitl_stub.firmware.px4_reports import Px4Reports
 from sitl_stub.firmware.streams import Builder
 from sitl_stub.mavlink.links import Link
 from sitl_stub.physics import vehicle as body
@@ -45,6 +46,7 @@ class Px4Messages:
 
     def __init__(self, autopilot: Px4) -> None:
         self.autopilot = autopilot
+        self.reports = Px4Reports(self)
         self.ping_sequence = 0
         self._origin: LocalOrigin | None = None
 
@@ -105,10 +107,17 @@ class Px4Messages:
             ("ATTITUDE", self.attitude, rates(100, 15)),
             ("ATTITUDE_QUATERNION", self.attitude_quaternion, rates(50, 10)),
             ("AUTOPILOT_VERSION", self.autopilot_version, {}),
+            ("LINK_NODE_STATUS", self.reports.link_node_status, rates(1, 1)),
         ]
-        if self.autopilot.version.speaks_events:
-            table.append(("CURRENT_MODE", self.current_mode, rates(0.5, 0.5)))
-            table.append(("CURRENT_EVENT_SEQUENCE", self.current_event_sequence, rates(0.3, 0.3)))
+        if self.autopilot.version.newer_reports:
+            table += [
+                ("CURRENT_MODE", self.current_mode, rates(0.5, 0.5)),
+                ("CURRENT_EVENT_SEQUENCE", self.current_event_sequence, rates(0.3, 0.3)),
+                ("TIME_ESTIMATE_TO_TARGET", self.reports.time_estimate_to_target, rates(0.5, 0.5)),
+                ("GNSS_INTEGRITY", self.reports.gnss_integrity, rates(1, 1)),
+                ("OPEN_DRONE_ID_LOCATION", self.reports.open_drone_id_location, rates(1, 1)),
+                ("OPEN_DRONE_ID_SYSTEM", self.reports.open_drone_id_system, rates(1, 1)),
+            ]
         return table
 
     # --- status ------------------------------------------------------------------------------------------------
@@ -272,6 +281,14 @@ class Px4Messages:
             heading,
         )
 
+    @property
+    def gps_fix(self) -> tuple[int, int]:
+        """GPS_FIX_TYPE and the number of satellites."""
+        core = self.autopilot.core
+        if not core.position_aided:
+            return 0, 0
+        return (3, 10) if core.position_valid else (1, 10)
+
     def gps_raw_int(self, link: Link) -> Values:
         """GPS_RAW_INT: the estimate as a receiver with 10 satellites would report it."""
         a = self.autopilot
@@ -281,9 +298,7 @@ class Px4Messages:
         altitude = round(self.altitude_of(z) * 1000)
         course = round(math.degrees(math.atan2(vy, vx)) % 360.0 * 100) % 36000
         speed = min(round(100.0 * math.hypot(vx, vy)), 65534)
-        fix, satellites = (3, 10) if a.core.position_valid else (1, 10)
-        if not a.core.position_aided:
-            fix, satellites = 0, 0
+        fix, satellites = self.gps_fix
         head = (a.clock_us, latitude, longitude, altitude, 70, 110, speed, course, fix, satellites)
         return (*head, altitude, 900, 1780, 400, 0, 0)
 

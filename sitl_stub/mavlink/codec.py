@@ -24,8 +24,19 @@ BROADCAST = 0
 # name -> (message id, CRC extra, wire format, field names in wire order). The CRC extras were found from
 # the checksums of frames in the PX4 1.17 capture.
 NEWER_MESSAGES: dict[str, tuple[int, int, str, tuple[str, ...]]] = {
-    "LINK_NODE_STATUS": (8, 117, "<QIIIIIHHHBBBB", ()),
-    "TIME_ESTIMATE_TO_TARGET": (380, 232, "<iiiii", ()),
+    "LINK_NODE_STATUS": (
+        8,
+        117,
+        "<QIIIIIHHHBB",
+        ("timestamp", "tx_rate", "rx_rate", "messages_sent", "messages_received", "messages_lost", "rx_parse_err",
+         "tx_overflows", "rx_overflows", "tx_buf", "rx_buf"),
+    ),
+    "TIME_ESTIMATE_TO_TARGET": (
+        380,
+        232,
+        "<iiiii",
+        ("safe_return", "land", "mission_next_item", "mission_end", "commanded_action"),
+    ),
     "EVENT": (
         410,
         160,
@@ -35,7 +46,14 @@ NEWER_MESSAGES: dict[str, tuple[int, int, str, tuple[str, ...]]] = {
     ),
     "CURRENT_EVENT_SEQUENCE": (411, 106, "<HB", ("sequence", "flags")),
     "CURRENT_MODE": (436, 193, "<IIB", ("custom_mode", "intended_custom_mode", "standard_mode")),
-    "GNSS_INTEGRITY": (441, 169, "<IHHBBBBBBBBB", ()),
+    "GNSS_INTEGRITY": (
+        441,
+        169,
+        "<IHHBBBBBBBBB",
+        ("system_errors", "raim_hfom", "raim_vfom", "id", "authentication_state", "jamming_state", "spoofing_state",
+         "raim_state", "corrections_quality", "system_status_summary", "gnss_signal_quality",
+         "post_processing_quality"),
+    ),
 }  # fmt: skip
 
 

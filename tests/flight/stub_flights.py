@@ -135,6 +135,10 @@ class Pilot:
         """Switch PX4's mode."""
         self.command(mav.MAV_CMD_DO_SET_MODE, 1.0, main, sub)
 
+    def stop_motors(self) -> None:
+        """Disarm, with the magic number that works in the air too."""
+        self.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, 21196.0)
+
     def close(self) -> None:
         self._socket.close()
 

@@ -115,6 +115,17 @@ def test_the_pilot_takes_over_by_mode(tmp_path):
     assert watched > 1.0  # the log went on until the pilot had landed
 
 
+def test_a_vehicle_disarmed_in_the_air_while_landing_is_not_called_landed(tmp_path):
+    pilot = Pilot()
+    with lockstep_stub(*pilot.options) as stub:
+        kill_motors = {Phase.TRACK: interrupt, Phase.LAND: pilot.stop_motors}
+        flown = fly_short(stub, tmp_path, kill_motors, settings=["flight.takeoff_height_m=3.0"])
+    pilot.close()
+    assert flown.result.outcome is Outcome.PILOT
+    assert flown.result.text.startswith("by Ctrl-C or SIGTERM; then disarmed in the air while landing, ")
+    assert "landed and disarmed" not in flown.result.text
+
+
 # The flight is refused, or ends itself ------------------------------------------------------------------
 
 

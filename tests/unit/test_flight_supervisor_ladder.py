@@ -185,6 +185,12 @@ def test_our_own_clock_counts_in_real_time_only():
     assert {scene.step().reaction for _ in range(600)} == {Reaction.NONE}
 
 
+def test_a_simulations_round_trip_is_judged_in_its_own_time():
+    scene = Scene(SafetyLimits(), real_time=False)
+    scene.link.timesync.autopilot_trip_s = 0.16
+    assert [scene.step().reaction for _ in range(600)][-1] is Reaction.LAND
+
+
 def test_a_silent_state_is_noticed_by_the_autopilots_time_alone():
     scene = Scene(SafetyLimits())
     for _ in range(10):

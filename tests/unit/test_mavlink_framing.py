@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mavlink_wire import Sender, attitude, heartbeat, local_position, mav
 
-from companion.mavlink.framing import Framer, frame_length, sender
+from companion.mavlink.framing import Framer, frame_length
 
 UNKNOWN_ID = 410  # PX4 1.17 sends it, the dialect does not have it
 
@@ -129,13 +129,6 @@ def test_frame_length_waits_for_what_it_needs():
     assert frame_length(b"\xfd\x09", 0) is None
     assert frame_length(b"\xfe", 0) is None
     assert frame_length(b"\xfe\x09", 0) == 17
-
-
-def test_sender_of_both_versions():
-    autopilot = Sender(system=9, component=154)
-    autopilot.skip(77)
-    assert sender(heartbeat().pack(autopilot.codec)) == (77, 9, 154)
-    assert sender(heartbeat().pack(autopilot.codec, force_mavlink1=True)) == (77, 9, 154)
 
 
 def datagrams(*chunks):

@@ -1,0 +1,188 @@
+"""Frames whose checksum holds, read only as far as somebody asks.
+
+An autopilot sends some 700 frames in a second of flight, and the flight looks into a third of them. pymavlink's `decode`
+makes an object of each with all its fields, several times the work of what is needed of it. Here a frame is accepted and
+refused exactly as there (tests/unit/test_mavlink_received.py compares the two), from pymavlink's own tables, but only
+its header is read at once; the fields follow at the first look at one of them. Messages with text in them come rarely,
+and pymavlink reads those.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from typing import Any
+
+os.environ.setdefault("MAVLINK20", "1")
+from fastcrc.crc16 import mcrf4xx
+from pymavlink.dialects.v20 import all as every_dialect  # CURRENT_MODE is in no smaller one
+
+from companion.mavlink.framing import MAGIC_V1, MAGIC_V2, SIGNED_FLAG
+
+mav: Any = every_dialect
+
+SIGNATURE_BYTES = 13
+_HEAD_V1 = struct.Struct("<xBBBBB")  # length, sequence, system, component, message
+_HEAD_V2 = struct.Struct("<xBBxBBBHB")  # length, flags, sequence, system, component, message (low, high)
+_STAMP = "time_boot_ms"
+
+
+class Layout:
+    """How a message of the dialect lies in its payload."""
+
+    __slots__ = ("arrays", "crc_extra", "message_id", "name", "names", "plain", "size", "stamp_at", "unpack")
+
+    def __init__(self, kind: Any) -> None:
+        """`kind`: the message's class in pymavlink."""
+        self.name: str = kind.msgname
+        self.message_id: int = kind.id
+        self.crc_extra = bytes((kind.crc_extra,))
+        self.unpack = kind.unpacker.unpack_from
+        self.size: int = kind.unpacker.size
+        self.names: tuple[str, ...] = tuple(kind.ordered_fieldnames)
+        self.arrays: tuple[int, ...] = tuple(kind.lengths)
+        self.plain = "char" not in kind.fieldtypes
+        """Numbers only: no text whose end has to be found."""
+        self.stamp_at = self._place_of(_STAMP, kind)
+        """Where the time since boot stands in the payload (uint32, ms); -1 where there is none."""
+
+    def _place_of(self, field: str, kind: Any) -> int:
+        if field not in self.names:
+            return -1
+        before = kind.native_format.decode()[1:]
+        counts = [max(1, count) for count in kind.array_lengths]
+        place = self.names.index(field)
+        return struct.calcsize(
+            "<" + "".join(f"{count}{code}" for count, code in zip(counts[:place], before, strict=False))
+        )
+
+
+LAYOUTS = {number: Layout(kind) for number, kind in mav.mavlink_map.items()}
+
+
+class Received:
+    """One frame. A message's fields are attributes, under their names in MAVLink, as pymavlink has them; what begins
+    with `msg_` is of its header, and no field of the dialect has such a name.
+
+    Raises AttributeError for a field that the message has not; an `unknown` one has none.
+    """
+
+    __slots__ = (
+        "__dict__",
+        "_head",
+        "_layout",
+        "_length",
+        "msg_component",
+        "msg_frame",
+        "msg_id",
+        "msg_sequence",
+        "msg_system",
+    )
+
+    def __init__(
+        self,
+        frame: bytes,
+        layout: Layout | None,
+        head: int,
+        length: int,
+        message_id: int,
+        sequence: int,
+        system: int,
+        component: int,
+    ) -> None:
+        """`head`, `length`: bytes of header and payload."""
+        self.msg_frame = frame
+        self._layout = layout
+        self._head = head
+        self._length = length
+        self.msg_id = message_id
+        self.msg_sequence = sequence
+        self.msg_system = system
+        self.msg_component = component
+
+    @property
+    def unknown(self) -> bool:
+        """Whether the dialect does not have this message: nobody can say that its checksum is right."""
+        return self._layout is None
+
+    @property
+    def boot_ms(self) -> int | None:
+        """The message's `time_boot_ms`, None where it has none."""
+        layout = self._layout
+        if layout is None or layout.stamp_at < 0:
+            return None
+        start, end = self._head + layout.stamp_at, self._head + self._length
+        return int.from_bytes(
+            self.msg_frame[start : min(start + 4, end)], "little"
+        )  # zeros at the end are not sent
+
+    def get_msgId(self) -> int:
+        """As pymavlink's."""
+        return self.msg_id
+
+    def get_type(self) -> str:
+        """As pymavlink's: the message's name."""
+        return self._layout.name if self._layout is not None else f"UNKNOWN_{self.msg_id}"
+
+    def get_seq(self) -> int:
+        """As pymavlink's."""
+        return self.msg_sequence
+
+    def get_srcSystem(self) -> int:
+        """As pymavlink's."""
+        return self.msg_system
+
+    def get_srcComponent(self) -> int:
+        """As pymavlink's."""
+        return self.msg_component
+
+    def __getattr__(self, name: str) -> Any:
+        layout = self._layout
+        if layout is None or name not in layout.names:
+            raise AttributeError(f"{self.get_type()} has no field {name}")
+        self.__dict__.update(self._fields(layout))
+        return self.__dict__[name]
+
+    def _fields(self, layout: Layout) -> dict[str, Any]:
+        if not layout.plain:
+            message = mav.MAVLink(None).decode(bytearray(self.msg_frame))
+            return {name: getattr(message, name) for name in layout.names}
+        payload = self.msg_frame[self._head : self._head + self._length]
+        if len(payload) < layout.size:
+            payload += bytes(layout.size - len(payload))
+        numbers = layout.unpack(payload)
+        if len(numbers) == len(layout.names):
+            return dict(zip(layout.names, numbers, strict=True))
+        fields, place = {}, 0
+        for name, count in zip(layout.names, layout.arrays, strict=True):
+            fields[name] = numbers[place] if count == 1 else list(numbers[place : place + count])
+            place += count
+        return fields
+
+
+def read(frame: bytes) -> Received | None:
+    """The message in a whole frame; None where pymavlink's `decode` would refuse it (length or checksum wrong).
+
+    Signatures are not judged here.
+    """
+    signature = 0
+    if len(frame) >= 12 and frame[0] == MAGIC_V2:
+        head = 10
+        length, flags, sequence, system, component, low, high = _HEAD_V2.unpack_from(frame)
+        message_id = low | high << 16
+        if flags & SIGNED_FLAG:
+            signature = SIGNATURE_BYTES
+    elif len(frame) >= 8 and frame[0] == MAGIC_V1:
+        head = 6
+        length, sequence, system, component, message_id = _HEAD_V1.unpack_from(frame)
+    else:
+        return None
+    end = head + length
+    if len(frame) != end + 2 + signature:
+        return None
+    layout = LAYOUTS.get(message_id)
+    if layout is not None:
+        checksum = mcrf4xx(frame[1:end] + layout.crc_extra)
+        if checksum != frame[end] | frame[end + 1] << 8:
+            return None
+    return Received(frame, layout, head, length, message_id, sequence, system, component)
