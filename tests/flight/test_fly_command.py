@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 from stub_flights import companion_process, fly_short, lockstep_stub
 
 from companion.analysis.metrics import flight_metrics
@@ -114,14 +117,60 @@ def test_every_level_flies_and_the_same_seed_gives_the_same_log(tmp_path, firmwa
     assert digest(first.log) == digest(second.log)
 
 
-def test_another_seed_of_the_stub_gives_another_log(tmp_path):
+@pytest.fixture(scope="module")
+def two_seeds(tmp_path_factory):
+    """Logs of the same short flight with two seeds of the stub."""
     logs = []
     for seed in (7, 8):
-        folder = tmp_path / str(seed)
-        folder.mkdir()
         with lockstep_stub(seed=seed) as stub:
-            logs.append(fly_short(stub, folder).log)
-    assert digest(logs[0]) != digest(logs[1])
+            logs.append(fly_short(stub, tmp_path_factory.mktemp(str(seed))).log)
+    return logs
+
+
+def test_another_seed_of_the_stub_gives_another_log(two_seeds):
+    first, second = two_seeds
+    assert digest(first) != digest(second)
+
+
+def test_an_exported_flight_is_read_by_mavlogdump(two_seeds, tmp_path):
+    """pymavlink's own tool finds every message of the flight, of both sides."""
+    log, exported = two_seeds[0], tmp_path / "flight.tlog"
+    code, said, errors = run("export", str(log), "-o", str(exported), folder=tmp_path)
+    assert code == 0, errors
+    record = read_log(log)
+    frames = [frame for direction in ("in", "out") for frame in record.mavlink[direction][1]]
+    assert str(len(frames)) in said
+    numbers = Counter(int.from_bytes(frame[7:10], "little") for frame in frames)
+    # UNKNOWN_8 is newer than pymavlink's dialect
+    names = [
+        "HEARTBEAT",
+        "COMMAND_LONG",
+        "COMMAND_ACK",
+        "SET_ATTITUDE_TARGET",
+        "ATTITUDE_TARGET",
+        "UNKNOWN_8",
+    ]
+    ids = {cls.msgname: number for number, cls in dialect.mavlink_map.items()} | {"UNKNOWN_8": 8}
+    dump = subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "pymavlink.tools.mavlogdump",
+            "--format",
+            "json",
+            "--types",
+            ",".join(names),
+            exported,
+        ],
+        capture_output=True,
+        text=True,
+        timeout=280,
+        check=True,
+        env={**os.environ, "MAVLINK20": "1"},
+    )
+    found = Counter(json.loads(line)["meta"]["type"] for line in dump.stdout.splitlines())
+    assert found == {name: numbers[ids[name]] for name in names}
+    assert min(found.values()) > 0
 
 
 def test_actuator_controls_on_new_firmware_are_refused_on_the_ground(tmp_path):
