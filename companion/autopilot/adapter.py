@@ -224,16 +224,16 @@ def attitude_target(
     thrust: float,
 ) -> Message:
     """SET_ATTITUDE_TARGET from ENU/FLU values: quaternion (4,), body rate (3,) rad/s, thrust 0..1."""
-    rates_frd = frd_from_flu(body_rate_flu)
+    roll_rate, pitch_rate, yaw_rate = frd_from_flu(body_rate_flu).tolist()
     return mav.MAVLink_set_attitude_target_message(
         round(time_s * 1e3) & 0xFFFFFFFF,
         target_system,
         mav.MAV_COMP_ID_AUTOPILOT1,
         type_mask,
-        [float(q) for q in quaternion_ned_frd_from_enu_flu(quaternion_wxyz)],
-        float(rates_frd[0]),
-        float(rates_frd[1]),
-        float(rates_frd[2]),
+        quaternion_ned_frd_from_enu_flu(quaternion_wxyz).tolist(),
+        roll_rate,
+        pitch_rate,
+        yaw_rate,
         thrust,
     )
 

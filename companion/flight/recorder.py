@@ -104,8 +104,8 @@ class Recorder:
     def step(self, time_s: float, memory: Memory, inputs: Vector, result: StepResult) -> None:
         """All that is needed to repeat a step: what the law remembered, what it saw, and what it made of both."""
         self.log.record(self._input, time_s, inputs)
-        self.log.record(self._memory, time_s, memory.to_array())
-        self.log.record(self._terms, time_s, result.terms.values)
+        self.log.record(self._memory, time_s, memory.packed)
+        self.log.record(self._terms, time_s, result.terms.packed)
 
     def timing(self, time_s: float, period_s: float, compute_s: float, law_s: float) -> None:
         """Wall-clock durations of one control step."""

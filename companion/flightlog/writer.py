@@ -152,7 +152,12 @@ class FlightLog:
         self._queue.append(("define", channel))
         return channel
 
-    def record(self, channel: Channel, time_s: float, *parts: NDArray[np.float64] | np.void | float) -> None:
+    def record(
+        self,
+        channel: Channel,
+        time_s: float,
+        *parts: NDArray[np.float64] | NDArray[np.void] | np.void | float,
+    ) -> None:
         """Log one record: `parts` are the fields in order, as float64 arrays and floats, or one packed record.
 
         Copies at once, never blocks, never raises: what does not fit the channel is counted as rejected.
@@ -161,13 +166,12 @@ class FlightLog:
             self._dropped += 1
             return
         try:
-            part = parts[0]
-            if len(parts) > 1:
-                body = b"".join(map(_packed, parts))
-            elif type(part) is np.ndarray and part.dtype is _FLOAT64:  # the usual case, without a call
-                body = part.tobytes()
-            else:
-                body = _packed(part)
+            body = b"".join(
+                [  # the usual case without a call
+                    part.tobytes() if type(part) is np.ndarray and part.dtype is _FLOAT64 else _packed(part)
+                    for part in parts
+                ]
+            )
             self._queue.append(("record", channel, time_s, body))
         except Exception as error:  # a defect in what is logged must not cost the flight
             self._rejected += 1
@@ -380,7 +384,7 @@ class FlightLog:
                 self._file.add_message(channel_id, log_time, data)
 
 
-def _packed(part: NDArray[np.float64] | np.void | float) -> bytes:
+def _packed(part: NDArray[np.float64] | NDArray[np.void] | np.void | float) -> bytes:
     """Return the bytes of one field or of a whole record. The usual case first: this runs for every field."""
     if type(part) is float:
         return _DOUBLE.pack(part)

@@ -99,42 +99,41 @@ def test_the_log_holds_all_of_the_flight(plain):
 # Levels and repeatability -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("firmware", "level"), [("px4", "attitude"), ("px4", "body_rate"), ("px4-1.13", "actuator")]
-)
-def test_every_level_flies_and_the_same_seed_gives_the_same_log(tmp_path, firmware, level):
-    flights = []
-    for name in ("first", "second"):
-        folder = tmp_path / name
-        folder.mkdir()
-        with lockstep_stub(firmware=firmware, seed=7) as stub:
-            flights.append(fly_short(stub, folder, level=level))
-    first, second = flights
-    assert first.result.outcome is second.result.outcome is Outcome.COMPLETED
-    metrics, _ = flight_metrics(first.record, None, None)
-    assert max(metrics.to_json()["rms"]["position_truth_m"]) < 0.1
-    assert differences(first.log, second.log) == []
-    assert digest(first.log) == digest(second.log)
+def flown_with(folder, firmware="px4", level="attitude", seed=7):
+    folder.mkdir(exist_ok=True)
+    with lockstep_stub(firmware=firmware, seed=seed) as stub:
+        return fly_short(stub, folder, level=level)
 
 
 @pytest.fixture(scope="module")
-def two_seeds(tmp_path_factory):
-    """Logs of the same short flight with two seeds of the stub."""
-    logs = []
-    for seed in (7, 8):
-        with lockstep_stub(seed=seed) as stub:
-            logs.append(fly_short(stub, tmp_path_factory.mktemp(str(seed))).log)
-    return logs
+def short(tmp_path_factory):
+    """A short flight at the attitude level with seed 7."""
+    return flown_with(tmp_path_factory.mktemp("short"))
 
 
-def test_another_seed_of_the_stub_gives_another_log(two_seeds):
-    first, second = two_seeds
-    assert digest(first) != digest(second)
+def test_the_same_seed_gives_the_same_log(tmp_path, short):
+    """At every level with both libraries: test_one_command.py."""
+    again = flown_with(tmp_path)
+    assert short.result.outcome is again.result.outcome is Outcome.COMPLETED
+    assert differences(short.log, again.log) == []
+    assert digest(short.log) == digest(again.log)
 
 
-def test_an_exported_flight_is_read_by_mavlogdump(two_seeds, tmp_path):
+@pytest.mark.parametrize(("firmware", "level"), [("px4", "body_rate"), ("px4-1.13", "actuator")])
+def test_the_other_levels_track_as_well(tmp_path, firmware, level, short):
+    for flown in (short, flown_with(tmp_path, firmware, level)):
+        assert flown.result.outcome is Outcome.COMPLETED
+        metrics, _ = flight_metrics(flown.record, None, None)
+        assert max(metrics.to_json()["rms"]["position_truth_m"]) < 0.1
+
+
+def test_another_seed_of_the_stub_gives_another_log(tmp_path, short):
+    assert digest(short.log) != digest(flown_with(tmp_path, seed=8).log)
+
+
+def test_an_exported_flight_is_read_by_mavlogdump(tmp_path, short):
     """pymavlink's own tool finds every message of the flight, of both sides."""
-    log, exported = two_seeds[0], tmp_path / "flight.tlog"
+    log, exported = short.log, tmp_path / "flight.tlog"
     code, said, errors = run("export", str(log), "-o", str(exported), folder=tmp_path)
     assert code == 0, errors
     record = read_log(log)
@@ -173,6 +172,7 @@ def test_actuator_controls_on_new_firmware_are_refused_on_the_ground(tmp_path):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
 def test_a_signal_lands_and_the_result_is_printed(tmp_path, number):
     arguments = ["fly", "--sitl", "px4", "--duration", "200", "--log", "flight.mcap", "--json"]
+    arguments += ["--trajectory", "hover", "--set", "flight.procedure.hold_s=0.2"]
     with companion_process(arguments, tmp_path) as companion:
         companion.until_said("[track]")
         companion.process.send_signal(number)

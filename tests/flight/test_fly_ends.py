@@ -172,6 +172,7 @@ def test_the_companion_is_killed_and_the_vehicle_comes_down(tmp_path, phase):
     """The stub ends by itself once it has disarmed. The capture's PX4 would not disarm what never took off."""
     with lockstep_stub("--param", "COM_DISARM_PRFLT=5", ends_when_disarmed=True) as stub:
         arguments = ["fly", "--endpoint", stub.endpoint, "--log", "cut.mcap", "--duration", "300"]
+        arguments += ["--trajectory", "hover", "--set", "flight.procedure.hold_s=0.2"]
         with companion_process(arguments, tmp_path) as companion:
             companion.until_said(f"[{phase}]" if phase != "land" else "[track]")
             if phase == "land":
