@@ -14,6 +14,7 @@ from sitl_stub.faults.fault import FaultError
 from sitl_stub.faults.scenario import Target, entry_from, scenario_from
 from sitl_stub.firmware import ardupilot_layout as at
 from sitl_stub.firmware.ardupilot_modes import Mode as ArduMode
+from sitl_stub.firmware.px4_events import event_number
 from sitl_stub.firmware.px4_modes import Mode as Px4Mode
 from sitl_stub.physics.vehicle import load_vehicle
 
@@ -395,8 +396,12 @@ def test_battery_failsafe_of_px4(remaining: float, mode: Px4Mode, charge_state: 
     assert status.battery_remaining == round(100 * remaining)
     assert status.voltage_battery < 0.9 * volts
     assert [m for m in seen if m.name == "BATTERY_STATUS"][-1].charge_state == charge_state
-    assert px4_mode_of(seen) is mode
+    assert px4_mode_of(seen) is Px4Mode.LOITER  # COM_FAIL_ACT_T: the pilot may step in
     assert [m for m in seen if m.name == "HEARTBEAT"][-1].system_status == 5
+    (event,) = [m for m in seen if m.name == "EVENT"]
+    assert event.id == event_number("commander_failsafe_enter_hold")
+    stay(client, 5.0)
+    assert px4_mode(client) is mode
 
 
 def test_px4_may_be_told_only_to_warn_and_may_be_taken_back() -> None:
@@ -405,8 +410,8 @@ def test_px4_may_be_told_only_to_warn_and_may_be_taken_back() -> None:
     stay(client, 1.5)
     assert px4_mode(client) is Px4Mode.OFFBOARD
     client = flying_px4()
-    inject(client, "battery_critical", remaining=0.06, for_s=4.0)
-    stay(client, 1.5)
+    inject(client, "battery_critical", remaining=0.06, for_s=8.0)
+    stay(client, 6.0)
     assert px4_mode(client) is Px4Mode.RTL
     assert client.command(176, 1, 6) == [0, 0]
     stay(client, 1.1)
