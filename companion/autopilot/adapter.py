@@ -33,6 +33,19 @@ _EKF_VARIANCES = ("velocity_variance", "pos_horiz_variance", "pos_vert_variance"
 
 TRUTH_MESSAGES = frozenset((mav.MAVLINK_MSG_ID_HIL_STATE_QUATERNION, mav.MAVLINK_MSG_ID_SIM_STATE))
 """Messages that only a simulation can send: its true state."""
+STATUS_MESSAGES = frozenset(
+    (
+        mav.MAVLINK_MSG_ID_HEARTBEAT,
+        mav.MAVLINK_MSG_ID_CURRENT_MODE,
+        mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
+        mav.MAVLINK_MSG_ID_SYS_STATUS,
+        mav.MAVLINK_MSG_ID_ESTIMATOR_STATUS,
+        mav.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
+        mav.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
+        mav.MAVLINK_MSG_ID_STATUSTEXT,
+    )
+)
+"""Messages that `VehicleStatus` knows."""
 
 
 class Verdict(enum.Enum):

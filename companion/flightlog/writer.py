@@ -111,6 +111,7 @@ class FlightLog:
         self._reported = (0, 0, 0)
         self._unfit: str = ""
         self._trouble = ""
+        self._last_time_s = math.nan  # of the record before: most share their instant with it
         self._last_time_ns = 0
         self._channels: dict[str, Channel] = {}
         self._by_topic: dict[str, int] = {}
@@ -285,8 +286,9 @@ class FlightLog:
         for _ in range(len(queue)):
             item = queue.popleft()
             try:
-                self._guard(self._handle, item)
-            except OSError:
+                self._handle(item)
+            except OSError as error:
+                self._note_trouble(error)
                 if item[0] in ("define", "metadata", "attach"):
                     queue.append(item)  # asked for once and needed: again when there is room
             except Exception as error:
@@ -302,8 +304,11 @@ class FlightLog:
         try:
             call(*arguments)
         except OSError as error:
-            self._trouble = f"cannot write the log {self.path}: {error.strerror}"
+            self._note_trouble(error)
             raise
+
+    def _note_trouble(self, error: OSError) -> None:
+        self._trouble = f"cannot write the log {self.path}: {error.strerror}"
 
     def _flush(self) -> None:
         count = self._file.pending_messages
@@ -326,7 +331,8 @@ class FlightLog:
 
     def _log_time(self, time_s: float) -> int:
         """Return autopilot time as log_time in ns. A time that is none is written as the last good one."""
-        if math.isfinite(time_s):
+        if time_s != self._last_time_s and math.isfinite(time_s):
+            self._last_time_s = time_s
             self._last_time_ns = max(0, round(time_s * 1e9) + self.utc_offset_ns)
         return self._last_time_ns
 

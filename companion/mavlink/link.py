@@ -268,7 +268,7 @@ class Link:
     def keep_alive(self) -> None:
         """Send our HEARTBEAT at 1 Hz and a TIMESYNC question at 10 Hz, by the autopilot's clock while it speaks."""
         now_ns = self._now_ns()
-        alone = self.silence_s > HEARTBEAT_PERIOD_S
+        alone = not self.last_message_ns or (now_ns - self.last_message_ns) * 1e-9 > HEARTBEAT_PERIOD_S
         due = (
             (now_ns - self._last_heartbeat_ns) * 1e-9 >= HEARTBEAT_PERIOD_S
             if alone

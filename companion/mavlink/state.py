@@ -21,6 +21,9 @@ JUMP_M = 0.3  # a position this far from where the velocity leads is an estimato
 FARTHEST_M = 1e5
 FASTEST_M_S = 200.0
 FASTEST_RATE_RAD_S = 100.0
+_POSITION: int = mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED
+_ATTITUDE: int = mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION
+STATE_MESSAGES = frozenset((_POSITION, _ATTITUDE))
 _Triple = tuple[float, float, float]
 
 
@@ -45,12 +48,10 @@ class StateAssembler:
     def take(self, message: Message) -> VehicleState | None:
         """Take one message; return the state when it completes one."""
         kind = message.get_msgId()
-        if kind == mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED:
+        if kind == _POSITION:
             self._take_position(message)
             return None
-        if kind == mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION:
-            return self._take_attitude(message)
-        return None
+        return self._take_attitude(message) if kind == _ATTITUDE else None
 
     def take_jump(self) -> Vector | None:
         """(3,) m ENU by which the estimate jumped since last asked, None where it did not.

@@ -22,6 +22,9 @@ MAVLINK2_MAGIC = 0xFD
 SIGNED_FLAG = 0x01
 SIGNATURE_BYTES = 13
 BROADCAST = 0
+_HEAD2 = struct.Struct("<BBBBBBHB")
+"""Length, two kinds of flags, sequence, system, component, message number (low, high)."""
+_BYTES = tuple(bytes((number,)) for number in range(256))
 
 # name -> (message id, CRC extra, wire format, field names in wire order). The CRC extras were found from
 # the checksums of frames in the PX4 1.17 capture.
@@ -256,22 +259,18 @@ class FrameWriter:
 
     def frame_of_payload(self, layout: MessageLayout, payload: bytes) -> bytes:
         """One frame of a payload already packed."""
-        sequence = self.sequence
+        sequence, number = self.sequence, layout.message_id
         self.sequence = (sequence + 1) & 0xFF
-        message_id = layout.message_id
         if self.version == 2:
             payload = payload.rstrip(b"\0") or b"\0"
-            body = (
-                bytes((len(payload), 0, 0, sequence, self.system, self.component))
-                + message_id.to_bytes(3, "little")
-                + payload
-            )
+            ids = (self.system, self.component, number & 0xFFFF, number >> 16)
+            body = _HEAD2.pack(len(payload), 0, 0, sequence, *ids) + payload
             start = b"\xfd"
         else:
             payload = payload[: mavlink1_length(layout)]
-            body = bytes((len(payload), sequence, self.system, self.component, message_id)) + payload
+            body = bytes((len(payload), sequence, self.system, self.component, number)) + payload
             start = b"\xfe"
-        return start + body + _crc(body + bytes((layout.crc_extra,))).to_bytes(2, "little")
+        return start + body + _crc(body + _BYTES[layout.crc_extra]).to_bytes(2, "little")
 
 
 def whole_frame(frame: bytes) -> tuple[int, MessageLayout] | None:
