@@ -15,7 +15,7 @@ from sitl_stub.firmware import ardupilot_layout as at
 from sitl_stub.firmware.ardupilot_boot import Boot, Happenings
 from sitl_stub.firmware.ardupilot_commands import ArduPilotCommands
 from sitl_stub.firmware.ardupilot_core import ArduPilotCore
-from sitl_stub.firmware.ardupilot_failsafes import Failsafes
+from sitl_stub.firmware.ardupilot_failsafes import BatteryLevel, Failsafes
 from sitl_stub.firmware.ardupilot_flight import Flight
 from sitl_stub.firmware.ardupilot_ground import GroundSense
 from sitl_stub.firmware.ardupilot_guided import Guided
@@ -209,7 +209,7 @@ class ArduPilot(Autopilot):
 
     def arming_refusals(self) -> list[str]:
         """What stands against arming in the present mode, in ArduPilot's words; empty when nothing does."""
-        refusals = ["Motors Emergency Stopped"] if self.killed else []
+        refusals = []
         if not self.boot.accelerometers_agree:
             refusals.append("Accels inconsistent")
         if self.mode.value.needs_position:
@@ -217,8 +217,13 @@ class ArduPilot(Autopilot):
                 refusals.append("AHRS: waiting for home")
             elif not self.position_known:
                 refusals.append("Need Position Estimate")
+        refusals += self.failsafes.battery_refusals()
         if self.mode is Mode.AUTO:
             refusals.append("Mode requires mission")
+        if self.failsafes.battery > BatteryLevel.OK:
+            refusals.append("Battery failsafe")
+        if self.killed:
+            refusals.append("Motors Emergency Stopped")
         return refusals
 
     def request_arm(self, forced: bool) -> Result:

@@ -156,10 +156,17 @@ class Px4(Autopilot):
         self.home_quaternion = (w, x, y, z)
         self.home_set_us = self.clock_us
 
-    def announce(self, severity: int, text: str, event: Event | None = None) -> None:
-        """Tell clients what happened: as EVENT where the release does that, else as STATUSTEXT."""
+    def announce(
+        self,
+        severity: int,
+        text: str,
+        event: Event | None = None,
+        arguments: bytes = b"",
+        old_text: str | None = None,
+    ) -> None:
+        """Tell clients what happened: as EVENT where the release does that, else as STATUSTEXT (`old_text`, if other)."""
         if not self.version.speaks_events:
-            self.say(severity, text)
+            self.say(severity, text if old_text is None else old_text)
             return
         self.on_text(text)
         if event is None:
@@ -171,7 +178,7 @@ class Px4(Autopilot):
             event_time_boot_ms=self.clock_us // 1000,
             sequence=self.event_sequence,
             log_levels=event.log_levels,
-            arguments=event.arguments,
+            arguments=arguments,
         )
 
     # --- the loop ----------------------------------------------------------------------------------------------
@@ -352,10 +359,10 @@ class Px4(Autopilot):
         return Result.DENIED if self.commander.armed else Result.ACCEPTED
 
     def _arm(self, link: Link, command: Command) -> Result | None:
-        wanted = command.params[0]
-        if wanted not in (0.0, 1.0):
+        wanted = round(command.params[0]) if math.isfinite(command.params[0]) else -1
+        if wanted not in (0, 1):
             return Result.UNSUPPORTED
-        return self.commander.request_arm(wanted == 1.0, command.params[1] == FORCE_MAGIC)
+        return self.commander.request_arm(wanted == 1, command.params[1] == FORCE_MAGIC)
 
     def _request_capabilities(self, link: Link, command: Command) -> Result | None:
         self.streams.build(link, 148)

@@ -174,7 +174,7 @@ class Px4Messages:
     def battery_status(self, link: Link) -> Values | None:
         """BATTERY_STATUS: one pack; its voltage is in the first cell's field, as PX4 does without cell measurement."""
         state = self.autopilot.core.state
-        level = int(self.autopilot.commander.battery)
+        level = int(self.autopilot.commander.battery.level)
         voltages = (round(float(state[body.BATTERY_VOLTAGE]) * 1000),) + (65535,) * 9
         used_mah = round(float(state[body.CHARGE_USED]) / 3.6)
         current = _int16(100.0 * float(state[body.BATTERY_CURRENT]))

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 from stub_flights import companion_process, fly_short, lockstep_stub
 
 from companion.analysis.metrics import flight_metrics
@@ -126,6 +129,31 @@ def test_the_other_levels_track_as_well(tmp_path, firmware, level, short):
 
 def test_another_seed_of_the_stub_gives_another_log(tmp_path, short):
     assert digest(short.log) != digest(flown_with(tmp_path, seed=8).log)
+
+
+def test_an_exported_flight_is_read_by_mavlogdump(tmp_path, short):
+    """pymavlink's own tool finds every message of the flight, of both sides."""
+    log, exported = short.log, tmp_path / "flight.tlog"
+    code, said, errors = run("export", str(log), "-o", str(exported), folder=tmp_path)
+    assert code == 0, errors
+    record = read_log(log)
+    frames = [frame for direction in ("in", "out") for frame in record.mavlink[direction][1]]
+    assert str(len(frames)) in said
+    numbers = Counter(int.from_bytes(frame[7:10], "little") for frame in frames)
+    names = ["HEARTBEAT", "COMMAND_LONG", "COMMAND_ACK", "SET_ATTITUDE_TARGET", "ATTITUDE_TARGET"]
+    ids = {cls.msgname: number for number, cls in dialect.mavlink_map.items()}
+    types = ("--format", "json", "--types", ",".join(names))
+    dump = subprocess.run(
+        [sys.executable, "-m", "pymavlink.tools.mavlogdump", *types, exported],
+        capture_output=True,
+        text=True,
+        timeout=280,
+        check=True,
+        env={**os.environ, "MAVLINK20": "1"},
+    )
+    found = Counter(json.loads(line)["meta"]["type"] for line in dump.stdout.splitlines())
+    assert found == {name: numbers[ids[name]] for name in names}
+    assert min(found.values()) > 0
 
 
 def test_actuator_controls_on_new_firmware_are_refused_on_the_ground(tmp_path):
