@@ -34,13 +34,25 @@ from companion.flight.recorder import Recorder
 from companion.flight.setpoint_gate import SetpointGate
 from companion.flight.supervisor import Judgement, Sight, Supervisor, tilt_of
 from companion.flight.vehicle import Vehicle
-from companion.mavlink.link import Message
+from companion.mavlink.link import Message, mav
+from companion.mavlink.stream_timing import StreamFigures
+from companion.mavlink.timesync import TimeSync
 from companion.reference.transit import TransitLimits
 
 LONGEST_STEP = 5.0  # control periods; after a longer gap the law steps this far only
 ABSENT_AFTER = 5.0  # control periods without a state from which on the supervisor is asked without one
 RESTART_S = 1.0  # a clock that steps back further was started anew
 OVERRUN_WINDOW_S = 1.0
+LINK_INCLUDED_S = (
+    0.01  # of the way from an attitude's stamp to its setpoint's arrival: in the profile's dead times
+)
+LONGEST_LINK_S = (
+    0.1  # beyond that nothing is predicted: the setpoints remembered end, and round_trip_s ends the flight
+)
+LINK_SHARE = 0.3  # of what is newly measured, each second: a jitter of the clocks is not flown after
+
+
+ATTITUDE_STREAM: int = mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION
 
 
 class Activity(enum.Enum):
@@ -139,6 +151,19 @@ class ControlLoop:
         return state.time_s - self._plan_started_s if state is not None else 0.0
 
     # Changing over --------------------------------------------------------------------------------------
+
+    def note_link(self, streams: list[StreamFigures], timesync: TimeSync) -> None:
+        """Let the prediction reach as much further as this link is slower than the one the dead times were found on.
+
+        A setpoint leaves when an attitude arrives, so the way from the attitude's stamp to the autopilot is the
+        stream's own age and half a round trip. The profile's dead times have a quick link in them already. Where the
+        autopilot's clock does not run like ours, the round trip by that clock says the same.
+        """
+        age_s = next((f.age_s for f in streams if f.message_id == ATTITUDE_STREAM), math.nan)
+        way_s = age_s + 0.5 * timesync.round_trip_s if timesync.steady else timesync.autopilot_trip_s
+        if math.isfinite(way_s):
+            beyond_s = min(max(0.0, way_s - LINK_INCLUDED_S), LONGEST_LINK_S)
+            self._predictor.link_delay_s += LINK_SHARE * (beyond_s - self._predictor.link_delay_s)
 
     def idle(self, quaternion_wxyz: Vector) -> None:
         """Send idle setpoints that keep the heading of `quaternion_wxyz` (4,) level."""

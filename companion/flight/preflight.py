@@ -18,10 +18,12 @@ from companion.flight.vehicle import Vehicle
 from companion.mavlink.bandwidth import POSITION_RATE_HZ, spare_rate
 from companion.mavlink.link import Message, mav
 from companion.mavlink.protocol import message_interval, request_message
+from companion.mavlink.stream_timing import STATE_STREAMS, StreamFigures, in_words
 
 MEASURE_S = 1.0
 _SHARE_WARNED = 0.8  # of a stream's rate asked for
 _ROUND_TRIP_WARNED_S, _ROUND_TRIP_REFUSED_S = 0.05, 0.15
+_AGE_WARNED_S = 0.05  # of a stream's 95 %
 _LOSS_WARNED, _LOSS_REFUSED = 0.01, 0.2
 _BATTERY_WARNED, _BATTERY_REFUSED = 0.35, 0.15  # the flight itself ends at limits.battery_remaining
 _HOVER_MISMATCH = 0.25
@@ -45,6 +47,7 @@ class Measured:
     position_rate_hz: float
     round_trip_s: float  # nan where TIMESYNC was not answered; a simulation's in its own time
     loss_ratio: float
+    streams: tuple[StreamFigures, ...]  # each one's rate, jitter and age
 
 
 class Preflight:
@@ -197,6 +200,7 @@ class Preflight:
             seen[mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED] / span_s,
             timesync.round_trip_s if timesync.steady else timesync.autopilot_trip_s,
             vehicle.link.loss_ratio,
+            tuple(vehicle.link.streams.figures()),
         )
 
     def link_findings(self, measured: Measured) -> list[Finding]:
@@ -237,7 +241,23 @@ class Preflight:
             "counted by sequence numbers since connecting",
             "lower the rates, look at cable, antenna and baud rate",
         )
-        return [rate, position, trip, loss, *self._signing_findings()]
+        return [rate, position, *self._stream_findings(measured), trip, loss, *self._signing_findings()]
+
+    def _stream_findings(self, measured: Measured) -> list[Finding]:
+        """How old each stream is when it arrives. A flight reacts to lateness itself; here it is a line to read."""
+        return [
+            _graded(
+                not stream.age_95_s > _AGE_WARNED_S,
+                True,
+                f"delay of {stream.name}",
+                in_words(stream),
+                "the law sees the vehicle as it was then"
+                if stream.message_id in STATE_STREAMS
+                else "not used for control, so it only tells of the link",
+                "use a faster link, or lower the rates on this one (MAV_n_RATE, SRn_*)",
+            )
+            for stream in measured.streams
+        ]
 
     def _signing_findings(self) -> list[Finding]:
         link = self._vehicle.link

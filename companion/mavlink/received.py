@@ -30,7 +30,18 @@ _STAMP = "time_boot_ms"
 class Layout:
     """How a message of the dialect lies in its payload."""
 
-    __slots__ = ("arrays", "crc_extra", "message_id", "name", "names", "plain", "size", "stamp_at", "unpack")
+    __slots__ = (
+        "arrays",
+        "crc_extra",
+        "message_id",
+        "name",
+        "names",
+        "plain",
+        "size",
+        "stamp_at",
+        "stamp_us_at",
+        "unpack",
+    )
 
     def __init__(self, kind: Any) -> None:
         """`kind`: the message's class in pymavlink."""
@@ -45,6 +56,8 @@ class Layout:
         """Numbers only: no text whose end has to be found."""
         self.stamp_at = self._place_of(_STAMP, kind)
         """Where the time since boot stands in the payload (uint32, ms); -1 where there is none."""
+        self.stamp_us_at = self._place_of("time_usec", kind)
+        """The same of `time_usec` (uint64, µs)."""
 
     def _place_of(self, field: str, kind: Any) -> int:
         if field not in self.names:
@@ -109,11 +122,18 @@ class Received:
     def boot_ms(self) -> int | None:
         """The message's `time_boot_ms`, None where it has none."""
         layout = self._layout
-        if layout is None or layout.stamp_at < 0:
-            return None
-        start, end = self._head + layout.stamp_at, self._head + self._length
+        return None if layout is None or layout.stamp_at < 0 else self._integer(layout.stamp_at, 4)
+
+    @property
+    def time_us(self) -> int | None:
+        """The message's `time_usec`, None where it has none; of which clock differs between messages."""
+        layout = self._layout
+        return None if layout is None or layout.stamp_us_at < 0 else self._integer(layout.stamp_us_at, 8)
+
+    def _integer(self, place: int, size: int) -> int:
+        start, end = self._head + place, self._head + self._length
         return int.from_bytes(
-            self.msg_frame[start : min(start + 4, end)], "little"
+            self.msg_frame[start : min(start + size, end)], "little"
         )  # zeros at the end are not sent
 
     def get_msgId(self) -> int:
