@@ -156,11 +156,12 @@ class ControlLoop:
         """Let the prediction reach as much further as this link is slower than the one the dead times were found on.
 
         A setpoint leaves when an attitude arrives, so the way from the attitude's stamp to the autopilot is the
-        stream's own age and half a round trip. The profile's dead times have a quick link in them already. Where the
-        autopilot's clock does not run like ours, the round trip by that clock says the same.
+        stream's own age and half a round trip. The profile's dead times have a quick link in them already. Of a
+        simulation that does not run in real time, the round trip by its own clock says the same.
         """
         age_s = next((f.age_s for f in streams if f.message_id == ATTITUDE_STREAM), math.nan)
-        way_s = age_s + 0.5 * timesync.round_trip_s if timesync.steady else timesync.autopilot_trip_s
+        real_time = self._watching is not None and self._watching.real_time
+        way_s = age_s + 0.5 * timesync.round_trip_s if real_time else timesync.autopilot_trip_s
         if math.isfinite(way_s):
             beyond_s = min(max(0.0, way_s - LINK_INCLUDED_S), LONGEST_LINK_S)
             self._predictor.link_delay_s += LINK_SHARE * (beyond_s - self._predictor.link_delay_s)
