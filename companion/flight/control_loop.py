@@ -41,6 +41,7 @@ from companion.reference.transit import TransitLimits
 
 LONGEST_STEP = 5.0  # control periods; after a longer gap the law steps this far only
 ABSENT_AFTER = 5.0  # control periods without a state from which on the supervisor is asked without one
+SUNK_M = 1.0  # at lift-off; the rotors' wind takes a barometer down by less
 RESTART_S = 1.0  # a clock that steps back further was started anew
 OVERRUN_WINDOW_S = 1.0
 LINK_INCLUDED_S = (
@@ -120,6 +121,7 @@ class ControlLoop:
         self._last_wall_ns = 0
         self._level_quaternion: Vector = np.array([1.0, 0.0, 0.0, 0.0])
         self._lift_off_started_s = 0.0
+        self._lift_off_from_m = math.nan
         self._flags = 0
         self._velocity_time_s = -math.inf
         self.period_s = 1.0 / settings.rate_hz
@@ -303,6 +305,14 @@ class ControlLoop:
         tilt_deg = math.degrees(tilt_of(state.quaternion_wxyz))
         if not tilt_deg <= limit_deg:
             raise Aborted(f"tipping over at lift-off: tilt {tilt_deg:.0f}°, limit {limit_deg:g}°")
+        height_m = float(state.position_enu[2])
+        if math.isnan(self._lift_off_from_m):
+            self._lift_off_from_m = height_m
+        if height_m < self._lift_off_from_m - SUNK_M:
+            raise Aborted(
+                f"the estimate sinks into the ground at lift-off, by {self._lift_off_from_m - height_m:.1f} m: "
+                "is its height upside down (poses from outside), or its barometer in the rotors' wind?"
+            )
         reference = at_rest(state.position_enu, yaw_of(self._level_quaternion))
         judgement = self._judge(state, reference, gap_s, age_s, lifting_off=True)
         if judgement.reaction >= Reaction.HOLD:
@@ -332,6 +342,7 @@ class ControlLoop:
         jump, self._jump_enu = self._jump_enu, np.zeros(3)
         if np.any(jump):
             watching.supervisor.move_home(jump)
+            self._vehicle.poses.estimate_jumped()
         if watching.real_time:
             late_s = self._vehicle.link.timesync.lateness_s(state.time_s, time.monotonic())
             gap_s = max(gap_s, late_s) if math.isfinite(late_s) else gap_s
@@ -347,6 +358,7 @@ class ControlLoop:
             refused_setpoints=self._refused,
             setpoint_gap_s=state.time_s - self._last_sent_s,
             overrun_share=self._overrun_share,
+            poses=self._vehicle.pose_figures(state.time_s),
         )
         return watching.supervisor.judge(state, sight, lifting_off)
 
