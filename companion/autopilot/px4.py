@@ -67,6 +67,7 @@ class Px4(Adapter):
     takes_local_ned_odometry = True
     bytewise_parameters = True
     hover_thrust_parameter = "MPC_THR_HOVER"
+    pose_parameters = ("EKF2_EV_CTRL",)  # until 1.13: EKF2_AID_MASK, which is not looked at
 
     def mode(self, intent: Intent) -> Command:
         """See `Adapter.mode`: base mode 1 (custom), main and sub mode."""
@@ -97,6 +98,11 @@ class Px4(Adapter):
             "EKF2_HGT_REF",
             "EKF2_RNG_CTRL",
         )
+
+    def uses_poses(self, parameters: Mapping[str, float]) -> bool | None:
+        """See `Adapter.uses_poses`: any bit of EKF2_EV_CTRL."""
+        fused = parameters.get("EKF2_EV_CTRL")
+        return None if fused is None else fused != 0.0
 
     def check(
         self, parameters: Mapping[str, float], level: ControlLevel, version: tuple[int, int, int]

@@ -536,7 +536,10 @@ class Flight:
             self._supervisor.log_health = log_health = self._recorder.log.health
             assert log_health is not None
         timesync = vehicle.link.timesync
+        streams = vehicle.link.streams.figures()
+        self._recorder.streams(vehicle.link.autopilot_time_s, streams)
         if hasattr(self, "_loop"):
+            self._loop.note_link(streams, timesync)
             self._recorder.estimates(
                 vehicle.link.autopilot_time_s,
                 self._loop.hover_thrust,

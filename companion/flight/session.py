@@ -147,10 +147,15 @@ def _fly(
 
 
 def check(
-    settings: Settings, connection: Connection, reporter: Reporter, fix: bool = False
+    settings: Settings,
+    connection: Connection,
+    reporter: Reporter,
+    fix: bool = False,
+    outside_poses: tuple[str, int] | None = None,
 ) -> tuple[list[Finding], list[tuple[str, float, float]]]:
     """Look at everything a flight with these settings depends on; change nothing, unless `fix`.
 
+    Poses that arrive at `outside_poses` (host, port) are forwarded meanwhile, as in a flight, and looked at, too.
     Returns the findings, and what was set for good: name, value before, value now.
 
     Raises:
@@ -158,9 +163,11 @@ def check(
         FlightEnd: the link broke off.
     """
     settings, plan = _fitted(settings, connection, reporter)
+    poses = OutsidePoses(outside_poses) if outside_poses else None
     link = connection.open(reporter.say)
     try:
         vehicle = Vehicle(link, settings.flight.safety.silence_s)
+        vehicle.outside_poses = poses
         vehicle.on_notice = reporter.say
         vehicle.connect(settings.flight.procedure.connect_timeout_s)
         version = ".".join(map(str, vehicle.version))
@@ -177,6 +184,8 @@ def check(
         return findings, preflight.changed
     finally:
         link.close()
+        if poses is not None:
+            poses.close()
 
 
 def _preflight(settings: Settings, vehicle: Vehicle, reporter: Reporter, plan: LinePlan | None) -> Preflight:

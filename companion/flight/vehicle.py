@@ -14,9 +14,11 @@ from companion.autopilot.adapter import STATUS_MESSAGES, TRUTH_MESSAGES, Adapter
 from companion.autopilot.registry import adapter_for
 from companion.config.errors import UserError
 from companion.control.structs import VehicleState
+from companion.flight.one_world import PoseComparison, PoseFigures
 from companion.flight.outcome import LinkLost, WaitedTooLong
 from companion.mavlink.link import Link, Message, mav
 from companion.mavlink.outside_poses import OutsidePoses
+from companion.mavlink.pose_datagram import OutsidePose
 from companion.mavlink.protocol import (
     RESULT_WORDS,
     Command,
@@ -55,6 +57,8 @@ class Vehicle:
         self.watch: Callable[[], None] = lambda: None
         self.on_notice: Callable[[str], None] = lambda _: None
         self.outside_poses: OutsidePoses | None = None
+        self.poses = PoseComparison()
+        self.poses_are_used: bool | None = None  # by the estimator; None: not known
 
     # Waiting ----------------------------------------------------------------------------------------
 
@@ -118,10 +122,21 @@ class Vehicle:
         return POLL_S if self.outside_poses is None else POSE_POLL_S
 
     def _forward_poses(self, poses: OutsidePoses) -> None:
+        poses.on_pose = self._compare_pose
         for message in poses.poll():
             self.link.send(message)
         while poses.notices:
             self.on_notice(poses.notices.popleft())
+
+    def pose_figures(self, now_s: float) -> PoseFigures | None:
+        """How poses from outside stand to the estimate; None where there are none, or the estimator uses none."""
+        if self.outside_poses is None or self.poses_are_used is False:
+            return None
+        return self.poses.figures(now_s)
+
+    def _compare_pose(self, pose: OutsidePose) -> None:
+        if self.state is not None:
+            self.poses.add(pose, self.state)
 
     def _handle(self, message: Message) -> None:
         kind = message.get_msgId()

@@ -18,6 +18,7 @@ from companion.mavlink.layouts import mav as mav  # for whoever speaks over the 
 from companion.mavlink.packed import packed
 from companion.mavlink.received import Received, read
 from companion.mavlink.signing import FORGED, REPLAYED, UNSIGNED, Signer
+from companion.mavlink.stream_timing import STREAMS, StreamTiming
 from companion.mavlink.timesync import TimeSync
 from companion.mavlink.transport import Transport
 
@@ -79,6 +80,7 @@ class Link:
         self.heartbeat: Message | None = None
         self.counters: Counter[str] = Counter()
         self.timesync = TimeSync()
+        self.streams = StreamTiming(self.timesync)
         self.last_message_ns = 0
 
     @property
@@ -235,10 +237,17 @@ class Link:
         self._expected_sequence = (sequence + 1) % 256
 
     def _note_time(self, message: Received) -> None:
-        boot_ms = message.boot_ms
-        if boot_ms is None or message.msg_id in _STAMPED_WITH_A_SETPOINT:
+        boot_ms, measured = message.boot_ms, message.msg_id in STREAMS
+        if boot_ms is None:
+            stamp_us = message.time_us if measured else None
+            if stamp_us is not None:
+                self.streams.note(message.msg_id, stamp_us * 1e-6, self.last_message_ns)
+            return
+        if message.msg_id in _STAMPED_WITH_A_SETPOINT:
             return
         boot_s = boot_ms * 1e-3
+        if measured:
+            self.streams.note(message.msg_id, boot_s, self.last_message_ns)
         # Streams are stamped when sampled, so small steps back are normal; a large one is a reboot.
         if boot_s > self._boot_time_s or boot_s < self._boot_time_s - 5.0:
             if boot_s < self._boot_time_s - 5.0:

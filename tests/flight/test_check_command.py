@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from contextlib import contextmanager
 
@@ -15,6 +16,7 @@ from companion.config.settings import load_settings
 from companion.flight.session import check
 from companion.mavlink.connection import Connection
 from companion.mavlink.endpoint import parse_endpoint
+from sitl_stub.stub_process import Stub
 
 pytestmark = pytest.mark.flight
 PATIENT = ("--set", "flight.procedure.connect_timeout_s=120")
@@ -108,3 +110,17 @@ def test_without_an_estimate_nothing_flies(tmp_path) -> None:
         flown = companion(f"udpin:127.0.0.1:{port}", tmp_path, settings={"procedure.ready_timeout_s": 3.0})
     assert flown.outcome == "refused"
     assert "not ready after 3 s" in flown.text and "estimator has no" in flown.text
+
+
+def test_the_delay_of_each_stream_is_measured() -> None:
+    """40 ms each way, in real time: what `check` says, against what the stub was told."""
+    settings = load_settings("qball2", {"level": "attitude"}, [PATIENT[1]])
+    with Stub(seed=1) as stub:
+        stub.inject("link_delay", delay_s=0.04)
+        findings, _ = check(settings, Connection(parse_endpoint(stub.endpoint)), NoteTaker())
+    delays = {f.subject.split()[-1]: f for f in findings if f.subject.startswith("delay of ")}
+    assert {"ATTITUDE_QUATERNION", "LOCAL_POSITION_NED", "ODOMETRY"} <= set(delays)
+    for finding in delays.values():
+        age_ms = float(re.search(r"age (\S+) ms", finding.found).group(1))
+        assert 38.0 < age_ms < 50.0, finding
+        assert finding.found.endswith(" ms") and "95 %" in finding.found and "jitter" in finding.found

@@ -67,6 +67,9 @@ def test_the_json_has_what_it_promises(plain):
     assert result["mass_ratio"] == pytest.approx(0.7)
     assert str(result["seed"]) == "1"
     assert result["log"] == log.name
+    attitude = result["streams"]["ATTITUDE_QUATERNION"]
+    assert attitude["rate_hz"] == pytest.approx(100.0, rel=0.05)
+    assert attitude["age_s"] is None  # simulated time is not ours
 
 
 def test_the_json_is_what_the_log_says(plain):
