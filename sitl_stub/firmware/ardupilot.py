@@ -23,7 +23,8 @@ from sitl_stub.firmware.ardupilot_modes import BY_NUMBER, Mode, mode_named
 from sitl_stub.firmware.ardupilot_parameters import ArduPilotParameters
 from sitl_stub.firmware.ardupilot_statistics import Statistics
 from sitl_stub.firmware.ardupilot_streams import ArduPilotMessages
-from sitl_stub.firmware.autopilot import Autopilot, Result
+from sitl_stub.firmware.autopilot import Autopilot
+from sitl_stub.firmware.commands import Result
 from sitl_stub.firmware.streams import Builder
 from sitl_stub.mavlink.links import Link
 

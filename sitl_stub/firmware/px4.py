@@ -13,15 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sitl_stub.firmware import control_layout as at
-from sitl_stub.firmware.autopilot import (
-    HIGHEST_M,
-    LOGIC_PERIOD_US,
-    Autopilot,
-    Command,
-    Result,
-    is_place,
-    whole,
-)
+from sitl_stub.firmware.autopilot import LOGIC_PERIOD_US, Autopilot
+from sitl_stub.firmware.commands import HIGHEST_M, Command, Result, is_place, whole
 from sitl_stub.firmware.flight_core import CONTROL_PERIOD_US, FlightCore
 from sitl_stub.firmware.land_detector import LandDetector
 from sitl_stub.firmware.parameters import ParameterTable
@@ -91,7 +84,7 @@ class Px4(Autopilot):
                 178: self._change_speed,
                 179: self._set_home,
                 192: self._reposition,
-                241: self._ignore_command,
+                241: self.command_protocol.ignore,
                 246: self._reboot,
                 400: self._arm,
                 520: self._request_capabilities,
@@ -307,12 +300,12 @@ class Px4(Autopilot):
     # --- commands ----------------------------------------------------------------------------------------------
     def _do_set_mode(self, link: Link, command: Command) -> Result | None:
         # Two acknowledgements, as in the capture: one for the command having arrived, one for its outcome.
-        self.acknowledge(link, command, Result.ACCEPTED)
+        self.command_protocol.acknowledge(link, command, Result.ACCEPTED)
         if max(whole(command.params[0]), 0) & 1:
             mode = mode_of(whole(command.params[1]), whole(command.params[2]))
         else:
             mode = None
-        self.acknowledge(link, command, self.commander.request_mode(mode))
+        self.command_protocol.acknowledge(link, command, self.commander.request_mode(mode))
         return None
 
     def _mode_command(self, mode: Mode) -> Result:

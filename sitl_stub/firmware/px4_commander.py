@@ -10,7 +10,7 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING
 
-from sitl_stub.firmware.autopilot import Result
+from sitl_stub.firmware.commands import Result
 from sitl_stub.firmware.px4_battery import BatteryLevel, BatteryWatch, battery_mode
 from sitl_stub.firmware.px4_events import Event, Reason
 from sitl_stub.firmware.px4_modes import (
