@@ -33,6 +33,19 @@ _EKF_VARIANCES = ("velocity_variance", "pos_horiz_variance", "pos_vert_variance"
 
 TRUTH_MESSAGES = frozenset((mav.MAVLINK_MSG_ID_HIL_STATE_QUATERNION, mav.MAVLINK_MSG_ID_SIM_STATE))
 """Messages that only a simulation can send: its true state."""
+STATUS_MESSAGES = frozenset(
+    (
+        mav.MAVLINK_MSG_ID_HEARTBEAT,
+        mav.MAVLINK_MSG_ID_CURRENT_MODE,
+        mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
+        mav.MAVLINK_MSG_ID_SYS_STATUS,
+        mav.MAVLINK_MSG_ID_ESTIMATOR_STATUS,
+        mav.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
+        mav.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
+        mav.MAVLINK_MSG_ID_STATUSTEXT,
+    )
+)
+"""Messages that `VehicleStatus` knows."""
 
 
 class Verdict(enum.Enum):
@@ -231,16 +244,16 @@ def attitude_target(
     thrust: float,
 ) -> Message:
     """SET_ATTITUDE_TARGET from ENU/FLU values: quaternion (4,), body rate (3,) rad/s, thrust 0..1."""
-    rates_frd = frd_from_flu(body_rate_flu)
+    roll_rate, pitch_rate, yaw_rate = frd_from_flu(body_rate_flu).tolist()
     return mav.MAVLink_set_attitude_target_message(
         round(time_s * 1e3) & 0xFFFFFFFF,
         target_system,
         mav.MAV_COMP_ID_AUTOPILOT1,
         type_mask,
-        [float(q) for q in quaternion_ned_frd_from_enu_flu(quaternion_wxyz)],
-        float(rates_frd[0]),
-        float(rates_frd[1]),
-        float(rates_frd[2]),
+        quaternion_ned_frd_from_enu_flu(quaternion_wxyz).tolist(),
+        roll_rate,
+        pitch_rate,
+        yaw_rate,
         thrust,
     )
 

@@ -39,7 +39,18 @@ from companion.control.structs import (
 StepKernel = Callable[[Packed, Packed, Packed, Packed, Packed], None]
 """`step(parameters, memory, inputs, memory_out, terms_out)`, compiled; see `packing.py` for the records."""
 
-_INPUT_SIZE = INPUT.itemsize // 8
+_TERMS_SIZE = TERMS.itemsize // 8
+
+
+def _place_in_terms(name: str, width: int) -> slice:
+    """Where a field lies among the float64 numbers of `TERMS`."""
+    first = TERMS.fields[name][1] // 8  # type: ignore[index]
+    return slice(first, first + width)
+
+
+_THRUST, _FLAGS = _place_in_terms("thrust", 1).start, _place_in_terms("bounds", 1).start
+_QUATERNION = _place_in_terms("quaternion", 4)
+_BODY_RATE, _TORQUE = _place_in_terms("body_rate", 3), _place_in_terms("torque", 3)
 
 
 class StepRefused(ArithmeticError):
@@ -113,18 +124,17 @@ class ControlLaw:
 
     def step_packed(self, memory: Memory, inputs: Vector) -> StepResult:
         """`step` on inputs as `pack_input` made them and the log holds them: replay gives the same bits."""
-        following = np.empty(1, memory_dtype(self.hidden))
-        terms = np.zeros(1, TERMS)
+        following = np.empty_like(memory.packed)
+        numbers = np.zeros(
+            _TERMS_SIZE
+        )  # by its floats: filling a record field by field takes longer than the step
+        terms = numbers.view(TERMS)
         self.kernel(self.packed_parameters, memory.packed, inputs.view(INPUT), following, terms)
-        flags = int(terms["bounds"][0])
+        flags = int(numbers[_FLAGS : _FLAGS + 1].view(np.int64)[0])
         if flags & (NOT_FINITE | TOO_TILTED):
             raise StepRefused(self._refusal(flags, terms[0]))
         setpoint = Setpoint(
-            self.level,
-            float(terms["thrust"][0]),
-            terms["quaternion"][0],
-            terms["body_rate"][0],
-            terms["torque"][0],
+            self.level, float(numbers[_THRUST]), numbers[_QUATERNION], numbers[_BODY_RATE], numbers[_TORQUE]
         )
         return StepResult(Memory(following), setpoint, Terms(terms))
 

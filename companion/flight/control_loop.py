@@ -51,9 +51,8 @@ LONGEST_LINK_S = (
     0.1  # beyond that nothing is predicted: the setpoints remembered end, and round_trip_s ends the flight
 )
 LINK_SHARE = 0.3  # of what is newly measured, each second: a jitter of the clocks is not flown after
-
-
 ATTITUDE_STREAM: int = mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION
+_NO_JUMP: Vector = np.zeros(3)
 
 
 class Activity(enum.Enum):
@@ -107,9 +106,9 @@ class ControlLoop:
         self._gate = gate
         self._reaction = Reaction.NONE
         self._terms: Terms | None = None
-        self._shift_enu: Vector = np.zeros(3)  # of the plan, by estimator resets
+        self._shift_enu: Vector | None = None  # of the plan, by estimator resets; None until there is one
         self._shift_yaw_rad = 0.0
-        self._jump_enu: Vector = np.zeros(3)  # not yet shown to the supervisor
+        self._jump_enu: Vector | None = None  # not yet shown to the supervisor
         self._refused = 0  # setpoints in a row
         self._overrun_share = 0.0
         self._last_state_s = -math.inf
@@ -178,7 +177,7 @@ class ControlLoop:
         self._lift_off_started_s = now_s + spool_time_s
         self._watching = watching
         self._last_sent_s = now_s
-        self._jump_enu = np.zeros(3)
+        self._jump_enu = None
         self.activity = Activity.LIFT_OFF
 
     def follow(self, plan: FlightPlan, state: VehicleState) -> None:
@@ -187,8 +186,8 @@ class ControlLoop:
         What lifted the vehicle off is more than that: kept, it would go on accelerating it.
         """
         self._plan, self._plan_started_s = plan, state.time_s
-        self._shift_enu, self._shift_yaw_rad = np.zeros(3), 0.0
-        self._jump_enu = np.zeros(3)
+        self._shift_enu, self._shift_yaw_rad = None, 0.0
+        self._jump_enu = None
         rise_1_s = self._settings.procedure.lift_off_rate * self._thrust.hover_thrust
         self._hover.lifted_off(self.lift_off_thrust, rise_1_s, float(state.velocity_enu[2]))
         self._thrust = replace(self._thrust, hover_thrust=self._hover.hover_thrust)
@@ -220,7 +219,9 @@ class ControlLoop:
         gap_s, self._last_state_s = state.time_s - self._last_state_s, state.time_s
         if gap_s < -RESTART_S:
             raise Aborted("the autopilot's clock started again: it has restarted")
-        self._jump_enu = self._jump_enu + self._vehicle.assembler.take_jump()
+        jump = self._vehicle.assembler.take_jump()
+        if jump is not None:
+            self._jump_enu = jump if self._jump_enu is None else self._jump_enu + jump
         if self.activity is Activity.NOTHING or state.time_s - self._last_step_s < 0.5 * self.period_s:
             return
         law_s = 0.0
@@ -259,15 +260,17 @@ class ControlLoop:
 
     def _follow(self, state: VehicleState, gap_s: float, age_s: float) -> float:
         assert self._plan is not None
-        if np.any(self._jump_enu):  # the world was moved, not the vehicle: the plan goes with it
-            self._shift_enu = self._shift_enu + self._jump_enu
+        jump, plan = self._jump_enu, self._plan
+        if jump is not None:  # the world was moved, not the vehicle: the plan goes with it
+            self._shift_enu = jump if self._shift_enu is None else self._shift_enu + jump
         reference = self._sample(state.time_s)
         judgement = self._judge(state, reference, gap_s, age_s)
         if judgement.yaw_jump_rad:
             self._shift_yaw_rad += judgement.yaw_jump_rad
         self._react(judgement, state.time_s)
         self._estimate_hover(state, trusted=judgement.gate is AdaptationGate.RUN)
-        reference = self._sample(state.time_s)
+        if judgement.yaw_jump_rad or self._plan is not plan:
+            reference = self._sample(state.time_s)
         self.position_error_enu = reference.position_enu - state.position_enu
         dt_s = min(state.time_s - self._last_step_s, LONGEST_STEP * self.period_s)
         law_ns = time.perf_counter_ns()
@@ -279,7 +282,9 @@ class ControlLoop:
             raise Aborted(f"the control law has no answer: {error}") from error
         law_s = (time.perf_counter_ns() - law_ns) * 1e-9
         memory = self._memory
-        if self._send(state.time_s, result.setpoint, result.terms.values["rotor_thrust"]):
+        actuators = result.setpoint.level is ControlLevel.ACTUATOR
+        rotor_thrust = result.terms.packed["rotor_thrust"][0] if actuators else None
+        if self._send(state.time_s, result.setpoint, rotor_thrust):
             self._memory, self._terms = result.memory, result.terms
         self._recorder.reference(
             state.time_s, reference, tracking_time(self._plan, state.time_s - self._plan_started_s)
@@ -324,12 +329,10 @@ class ControlLoop:
         """The plan at the autopilot's time, moved along with the estimator's frame."""
         assert self._plan is not None
         reference = self._plan.sample(time_s - self._plan_started_s)
-        if self._shift_yaw_rad or np.any(self._shift_enu):
-            return replace(
-                reference,
-                position_enu=reference.position_enu + self._shift_enu,
-                yaw_rad=reference.yaw_rad + self._shift_yaw_rad,
-            )
+        if self._shift_yaw_rad:
+            reference = replace(reference, yaw_rad=reference.yaw_rad + self._shift_yaw_rad)
+        if self._shift_enu is not None:
+            reference = replace(reference, position_enu=reference.position_enu + self._shift_enu)
         return reference
 
     # The supervisor's word ------------------------------------------------------------------------------
@@ -339,8 +342,8 @@ class ControlLoop:
     ) -> Judgement:
         watching = self._watching
         assert watching is not None
-        jump, self._jump_enu = self._jump_enu, np.zeros(3)
-        if np.any(jump):
+        jump, self._jump_enu = self._jump_enu, None
+        if jump is not None:
             watching.supervisor.move_home(jump)
             self._vehicle.poses.estimate_jumped()
         if watching.real_time:
@@ -351,7 +354,7 @@ class ControlLoop:
             attitude_age_s=gap_s,
             position_age_s=age_s,
             position_time_s=self._vehicle.assembler.position_time_s,
-            jump_enu=jump,
+            jump_enu=jump if jump is not None else _NO_JUMP,
             asked_quaternion=self._asked_quaternion,
             asked_thrust_newton=self._asked_thrust_newton,
             terms=self._terms,
@@ -401,18 +404,17 @@ class ControlLoop:
     # Out ------------------------------------------------------------------------------------------------
 
     def _send(
-        self, time_s: float, setpoint: Setpoint, rotor_thrust: Vector, thrust: float | None = None
+        self, time_s: float, setpoint: Setpoint, rotor_thrust: Vector | None, thrust: float | None = None
     ) -> bool:
         """Send a setpoint through the gate; False when it was refused there.
 
-        `rotor_thrust` (N,) in newtons is what goes out at the actuator level; `thrust` overrides the normalised
+        `rotor_thrust` (N,) in newtons is what goes out, at the actuator level only; `thrust` overrides the normalised
         collective, for idling below the least thrust of flight.
         """
         adapter, link = self._vehicle.adapter, self._vehicle.link
-        actuators = setpoint.level is ControlLevel.ACTUATOR
         if thrust is None:
             thrust = self._thrust.normalised(setpoint.thrust_newton)
-        controls = self._thrust.controls(rotor_thrust) if actuators else None
+        controls = self._thrust.controls(rotor_thrust) if rotor_thrust is not None else None
         if not self._fit(time_s, setpoint, thrust, controls):
             return False
         target = link.target_system or 1
@@ -427,8 +429,10 @@ class ControlLoop:
         p = self._law.parameters
         newton = self._thrust.newton(thrust)
         setpoint = level_setpoint(self._law.level, state, self._level_quaternion, newton, p.inertia)
-        wrench = np.array([newton, *setpoint.torque_flu])
-        self._send(state.time_s, setpoint, p.mixer[: p.rotor_count] @ wrench, thrust)
+        rotor_thrust = None
+        if setpoint.level is ControlLevel.ACTUATOR:
+            rotor_thrust = p.mixer[: p.rotor_count] @ np.array([newton, *setpoint.torque_flu])
+        self._send(state.time_s, setpoint, rotor_thrust, thrust)
 
     def _fit(self, time_s: float, setpoint: Setpoint, thrust: float, controls: Vector | None) -> bool:
         refusal = self._gate.refusal(setpoint, thrust, controls)

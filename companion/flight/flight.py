@@ -44,6 +44,9 @@ from companion.reference.trajectory import Frame, Placed, Trajectory, place
 from companion.reference.transit import TransitLimits
 
 _PROGRESS_S = 1.0
+_STATUSTEXT: int = mav.MAVLINK_MSG_ID_STATUSTEXT
+_COMMAND_ACK: int = mav.MAVLINK_MSG_ID_COMMAND_ACK
+_RC_CHANNELS: int = mav.MAVLINK_MSG_ID_RC_CHANNELS
 _STANDING = (
     Phase.PROVE,
     Phase.ENGAGE,
@@ -496,15 +499,16 @@ class Flight:
         vehicle, log = self._vehicle, self._recorder.log
         now_s = vehicle.link.autopilot_time_s
         kind = message.get_msgId()
-        if kind == mav.MAVLINK_MSG_ID_STATUSTEXT:
+        if kind == vehicle.adapter.truth_message_id:
+            self._recorder.truth(message, vehicle.status, now_s)
+        elif kind == _STATUSTEXT:
             log.event("status_text", now_s, severity=message.severity, text=str(message.text))
             if message.severity <= mav.MAV_SEVERITY_WARNING:
                 self._reporter.say(f"autopilot: {message.text}")
-        elif kind == mav.MAVLINK_MSG_ID_COMMAND_ACK:
+        elif kind == _COMMAND_ACK:
             log.event("ack", now_s, command=message.command, result=message.result)
-        elif kind == mav.MAVLINK_MSG_ID_RC_CHANNELS:
+        elif kind == _RC_CHANNELS:
             self._pilot.take(message)
-        self._recorder.truth(message, vehicle.adapter, vehicle.status, now_s)
         status = vehicle.status
         if status.custom_mode != self._announced_mode:
             self._announced_mode = status.custom_mode

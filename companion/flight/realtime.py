@@ -80,7 +80,8 @@ class LoopWatchdog:
     def beat(self) -> None:
         """The flight's thread has come round."""
         now_s = time.monotonic()
-        self.longest_s = max(self.longest_s, now_s - self._beat_s)
+        if now_s - self._beat_s > self.longest_s:
+            self.longest_s = now_s - self._beat_s
         self._beat_s = now_s
 
     def reset(self) -> None:

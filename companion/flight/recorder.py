@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from companion.autopilot.adapter import Adapter, VehicleStatus
+from companion.autopilot.adapter import VehicleStatus
 from companion.control.packing import Memory
 from companion.control.structs import ControlLevel, Reference, Setpoint, StepResult, Vector, VehicleState
 from companion.flightlog.channels import (
@@ -107,8 +107,8 @@ class Recorder:
     def step(self, time_s: float, memory: Memory, inputs: Vector, result: StepResult) -> None:
         """All that is needed to repeat a step: what the law remembered, what it saw, and what it made of both."""
         self.log.record(self._input, time_s, inputs)
-        self.log.record(self._memory, time_s, memory.to_array())
-        self.log.record(self._terms, time_s, result.terms.values)
+        self.log.record(self._memory, time_s, memory.packed)
+        self.log.record(self._terms, time_s, result.terms.packed)
 
     def timing(self, time_s: float, period_s: float, compute_s: float, law_s: float) -> None:
         """Wall-clock durations of one control step."""
@@ -142,24 +142,22 @@ class Recorder:
                 self._streams, time_s, float(f.message_id), f.rate_hz, f.jitter_s, f.age_s, f.age_95_s
             )
 
-    def truth(self, message: Message, adapter: Adapter, status: VehicleStatus, now_s: float) -> None:
+    def truth(self, message: Message, status: VehicleStatus, now_s: float) -> None:
         """The simulator's true state (HIL_STATE_QUATERNION or SIM_STATE), in the autopilot's local frame.
 
         The local frame's origin is GPS_GLOBAL_ORIGIN. An autopilot that flies without GPS has none: then the truth
         is laid over the estimate as they stand on the ground, and the log says so.
         """
-        if message.get_msgId() != adapter.truth_message_id:
-            return
         if message.get_msgId() == mav.MAVLINK_MSG_ID_HIL_STATE_QUATERNION:
             time_s = message.time_usec * 1e-6 or now_s  # PX4's simulation leaves it 0
             place = (message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3)
-            velocity_ned = np.array([message.vx, message.vy, message.vz]) * 1e-2
-            quaternion = message.attitude_quaternion
+            velocity_ned = (message.vx * 1e-2, message.vy * 1e-2, message.vz * 1e-2)
+            quaternion = tuple(message.attitude_quaternion)
             rates = (message.rollspeed, message.pitchspeed, message.yawspeed)
         else:
             time_s = now_s  # SIM_STATE has no time stamp
             place = (_finer(message.lat_int, message.lat), _finer(message.lon_int, message.lon), message.alt)
-            velocity_ned = np.array([message.vn, message.ve, message.vd])
+            velocity_ned = (message.vn, message.ve, message.vd)
             quaternion = (message.q1, message.q2, message.q3, message.q4)
             rates = (message.xgyro, message.ygyro, message.zgyro)
         origin = status.global_origin or self._assumed_origin(place, status)

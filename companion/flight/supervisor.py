@@ -11,6 +11,8 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
+import numpy as np
+
 from companion.autopilot.adapter import VehicleStatus
 from companion.config.safety import QUANTITIES, Reaction, SafetyLimits
 from companion.control.law import ControlLaw
@@ -287,7 +289,8 @@ class Supervisor:
         values[INDEX["velocity_error_m_s"]] = math.hypot(rvx - vx, rvy - vy, rvz - vz)
         axis = _thrust_axis(state.quaternion_wxyz)
         asked = _thrust_axis(sight.asked_quaternion)
-        values[INDEX["attitude_error_deg"]] = _angle_deg(sum(a * b for a, b in zip(axis, asked, strict=True)))
+        cosine = axis[0] * asked[0] + axis[1] * asked[1] + axis[2] * asked[2]
+        values[INDEX["attitude_error_deg"]] = _angle_deg(cosine)
         values[INDEX["tilt_deg"]] = _angle_deg(axis[2])
         values[INDEX["body_rate_deg_s"]] = math.degrees(math.hypot(*state.body_rate_flu.tolist()))
         home, fence = self._home, self._limits.fence
@@ -307,7 +310,7 @@ class Supervisor:
         values[INDEX["thrust_margin"]] = min(thrust - low, high - thrust) / (high - low)
         if sight.terms is None:
             return
-        t = sight.terms.packed.view("f8").tolist()
+        t = np.frombuffer(sight.terms.packed).tolist()
         values[INDEX["weight_norm"]] = max(
             t[_POSITION + _NORM] / bounds.position_weight_bound,
             t[_ATTITUDE + _NORM] / bounds.attitude_weight_bound,
@@ -315,10 +318,8 @@ class Supervisor:
         network = math.hypot(*t[_POSITION + _NETWORK : _POSITION + _NETWORK + 3])
         force = math.hypot(*t[_FORCE : _FORCE + 3])
         values[INDEX["network_share"]] = network / force if force > 0.0 else math.nan
-        error, gap = (
-            math.hypot(*t[_POSITION : _POSITION + 3]),
-            math.hypot(*t[_POSITION + _U_ERROR : _POSITION + _U_ERROR + 3]),
-        )
+        error = math.hypot(*t[_POSITION : _POSITION + 3])
+        gap = math.hypot(*t[_POSITION + _U_ERROR : _POSITION + _U_ERROR + 3])
         V = 0.5 * (bounds.beta * error * error + bounds.mass_kg * gap * gap)
         before_s, short, long = self._lyapunov or (time_s, V, V)
         dt_s = max(0.0, time_s - before_s)

@@ -10,7 +10,7 @@ import math
 import time
 from collections.abc import Callable
 
-from companion.autopilot.adapter import TRUTH_MESSAGES, Adapter, VehicleStatus
+from companion.autopilot.adapter import STATUS_MESSAGES, TRUTH_MESSAGES, Adapter, VehicleStatus
 from companion.autopilot.registry import adapter_for
 from companion.config.errors import UserError
 from companion.control.structs import VehicleState
@@ -27,12 +27,15 @@ from companion.mavlink.protocol import (
     message_interval,
     request_message,
 )
-from companion.mavlink.state import StateAssembler
+from companion.mavlink.state import STATE_MESSAGES, StateAssembler
 
 POLL_S = 0.05
 POSE_POLL_S = 0.005
 ACK_TIMEOUT_S = 1.0
 TRIES = 4
+_TIMESYNC: int = mav.MAVLINK_MSG_ID_TIMESYNC
+_COMMAND_ACK: int = mav.MAVLINK_MSG_ID_COMMAND_ACK
+_PARAM_VALUE: int = mav.MAVLINK_MSG_ID_PARAM_VALUE
 
 
 class Vehicle:
@@ -67,26 +70,28 @@ class Vehicle:
             LinkLost: after `silence_limit_s` without a message (our clock).
             FlightEnd: whatever `watch` or `on_state` raise.
         """
-        started_s = self.link.autopilot_time_s
+        link, bounded = self.link, timeout_s < math.inf
+        started_s = link.autopilot_time_s
         asked_s = time.monotonic()
         while not condition():
             self.watch()
-            standing_s = min(self.link.clock_stands_s, time.monotonic() - asked_s)
-            if standing_s > timeout_s:
+            if bounded and min(link.clock_stands_s, time.monotonic() - asked_s) > timeout_s:
                 raise WaitedTooLong(f"{what or 'the autopilot'}: nothing after {timeout_s:.0f} s")
-            self._forward_poses()
-            message = self.link.receive(self._poll_s)
+            if self.outside_poses is not None:
+                self._forward_poses(self.outside_poses)
+            message = link.receive(self._poll_s)
             if message is None:
                 self._pass_notices()
-                self.link.keep_alive()
-                if self.link.silence_s > self.silence_limit_s:
+                link.keep_alive()
+                if link.silence_s > self.silence_limit_s:
                     raise LinkLost(f"nothing heard from the autopilot for {self.silence_limit_s:.1f} s")
                 continue
             self._handle(message)
-            self.link.keep_alive()  # an autopilot that never pauses and asks nothing still hears us
-            started_s = started_s or self.link.autopilot_time_s  # 0 until the first time stamp
-            if self.link.autopilot_time_s - started_s > timeout_s:
-                raise WaitedTooLong(f"{what or 'the autopilot'}: nothing after {timeout_s:.0f} s")
+            link.keep_alive()  # an autopilot that never pauses and asks nothing still hears us
+            if bounded:
+                started_s = started_s or link.autopilot_time_s  # 0 until the first time stamp
+                if link.autopilot_time_s - started_s > timeout_s:
+                    raise WaitedTooLong(f"{what or 'the autopilot'}: nothing after {timeout_s:.0f} s")
 
     def disarmed_for(self, lasts_s: float) -> Callable[[], bool]:
         """A condition for `until`: HEARTBEATs have said disarmed for `lasts_s` of the autopilot's time.
@@ -116,10 +121,7 @@ class Vehicle:
         """How long to wait for a message: poses are not waited for, so with them not long."""
         return POLL_S if self.outside_poses is None else POSE_POLL_S
 
-    def _forward_poses(self) -> None:
-        poses = self.outside_poses
-        if poses is None:
-            return
+    def _forward_poses(self, poses: OutsidePoses) -> None:
         poses.on_pose = self._compare_pose
         for message in poses.poll():
             self.link.send(message)
@@ -137,19 +139,25 @@ class Vehicle:
             self.poses.add(pose, self.state)
 
     def _handle(self, message: Message) -> None:
-        if message.get_msgId() == mav.MAVLINK_MSG_ID_TIMESYNC:
+        kind = message.get_msgId()
+        if kind == _TIMESYNC:
             self.link.keep_alive()
             self.link.answer_timesync(message)
             return
-        self.simulated |= message.get_msgId() in TRUTH_MESSAGES
-        self.status.take(message)
-        self.commands.take(message)
-        self.parameters.take(message)
+        if kind in TRUTH_MESSAGES:
+            self.simulated = True
+        elif kind in STATUS_MESSAGES:
+            self.status.take(message)
+        elif kind == _COMMAND_ACK:
+            self.commands.take(message)
+        elif kind == _PARAM_VALUE:
+            self.parameters.take(message)
         self.on_message(message)
-        state = self.assembler.take(message)
-        if state is not None:
-            self.state = state
-            self.on_state(state)
+        if kind in STATE_MESSAGES:
+            state = self.assembler.take(message)
+            if state is not None:
+                self.state = state
+                self.on_state(state)
 
     # Getting to know it -----------------------------------------------------------------------------
 

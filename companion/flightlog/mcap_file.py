@@ -22,7 +22,6 @@ from mcap.opcode import Opcode
 MAGIC = b"\x89MCAP0\r\n"
 _MESSAGE = struct.Struct("<BQHIQQ")  # opcode, record length, channel, sequence, log time, publish time
 _MESSAGE_FIXED = 22  # bytes of a message record after its length, before its data
-_INDEX_ENTRY = struct.Struct("<QQ")
 
 
 def _bytes_of(record: layout.McapRecord) -> bytes:
@@ -58,7 +57,7 @@ class McapFile:
         self._parts: list[bytes] = []
         self._size = 0
         self._messages = 0
-        self._index: dict[int, list[bytes]] = {}
+        self._index: dict[int, list[int]] = {}  # of each channel: log time and offset, in turn
         self._first = 1 << 63
         self._last = 0
 
@@ -106,9 +105,12 @@ class McapFile:
         self._sequence[channel_id] = sequence + 1
         length = len(data) + _MESSAGE_FIXED
         publish = log_time_ns if publish_time_ns is None else publish_time_ns
-        self._parts.append(_MESSAGE.pack(5, length, channel_id, sequence & 0xFFFFFFFF, log_time_ns, publish))
-        self._parts.append(data)
-        self._index.setdefault(channel_id, []).append(_INDEX_ENTRY.pack(log_time_ns, self._size))
+        head = _MESSAGE.pack(5, length, channel_id, sequence & 0xFFFFFFFF, log_time_ns, publish)
+        self._parts += (head, data)
+        entries = self._index.get(channel_id)
+        if entries is None:
+            entries = self._index[channel_id] = []
+        entries += (log_time_ns, self._size)
         self._size += length + 9
         self._messages += 1
         if log_time_ns < self._first:
@@ -146,14 +148,16 @@ class McapFile:
         )
         offsets, tail, position = {}, [], self._offset + len(chunk)
         for channel_id, entries in index.items():
-            body = b"".join(entries)
-            record = struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + len(body), channel_id, len(body)) + body
+            size = 8 * len(entries)
+            record = struct.pack(
+                f"<BQHI{len(entries)}Q", Opcode.MESSAGE_INDEX, 6 + size, channel_id, size, *entries
+            )
             offsets[channel_id] = position
             position += len(record)
             tail.append(record)
         start = self._write(chunk + b"".join(tail))
         for channel_id, entries in index.items():
-            self._counts[channel_id] += len(entries)
+            self._counts[channel_id] += len(entries) // 2
         self._chunk_indexes.append(
             layout.ChunkIndex(
                 chunk_length=len(chunk),

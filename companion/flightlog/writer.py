@@ -111,6 +111,7 @@ class FlightLog:
         self._reported = (0, 0, 0)
         self._unfit: str = ""
         self._trouble = ""
+        self._last_time_s = math.nan  # of the record before: most share their instant with it
         self._last_time_ns = 0
         self._channels: dict[str, Channel] = {}
         self._by_topic: dict[str, int] = {}
@@ -152,7 +153,12 @@ class FlightLog:
         self._queue.append(("define", channel))
         return channel
 
-    def record(self, channel: Channel, time_s: float, *parts: NDArray[np.float64] | np.void | float) -> None:
+    def record(
+        self,
+        channel: Channel,
+        time_s: float,
+        *parts: NDArray[np.float64] | NDArray[np.void] | np.void | float,
+    ) -> None:
         """Log one record: `parts` are the fields in order, as float64 arrays and floats, or one packed record.
 
         Copies at once, never blocks, never raises: what does not fit the channel is counted as rejected.
@@ -161,13 +167,12 @@ class FlightLog:
             self._dropped += 1
             return
         try:
-            part = parts[0]
-            if len(parts) > 1:
-                body = b"".join(map(_packed, parts))
-            elif type(part) is np.ndarray and part.dtype is _FLOAT64:  # the usual case, without a call
-                body = part.tobytes()
-            else:
-                body = _packed(part)
+            body = b"".join(
+                [  # the usual case without a call
+                    part.tobytes() if type(part) is np.ndarray and part.dtype is _FLOAT64 else _packed(part)
+                    for part in parts
+                ]
+            )
             self._queue.append(("record", channel, time_s, body))
         except Exception as error:  # a defect in what is logged must not cost the flight
             self._rejected += 1
@@ -281,8 +286,9 @@ class FlightLog:
         for _ in range(len(queue)):
             item = queue.popleft()
             try:
-                self._guard(self._handle, item)
-            except OSError:
+                self._handle(item)
+            except OSError as error:
+                self._note_trouble(error)
                 if item[0] in ("define", "metadata", "attach"):
                     queue.append(item)  # asked for once and needed: again when there is room
             except Exception as error:
@@ -298,8 +304,11 @@ class FlightLog:
         try:
             call(*arguments)
         except OSError as error:
-            self._trouble = f"cannot write the log {self.path}: {error.strerror}"
+            self._note_trouble(error)
             raise
+
+    def _note_trouble(self, error: OSError) -> None:
+        self._trouble = f"cannot write the log {self.path}: {error.strerror}"
 
     def _flush(self) -> None:
         count = self._file.pending_messages
@@ -322,7 +331,8 @@ class FlightLog:
 
     def _log_time(self, time_s: float) -> int:
         """Return autopilot time as log_time in ns. A time that is none is written as the last good one."""
-        if math.isfinite(time_s):
+        if time_s != self._last_time_s and math.isfinite(time_s):
+            self._last_time_s = time_s
             self._last_time_ns = max(0, round(time_s * 1e9) + self.utc_offset_ns)
         return self._last_time_ns
 
@@ -380,7 +390,7 @@ class FlightLog:
                 self._file.add_message(channel_id, log_time, data)
 
 
-def _packed(part: NDArray[np.float64] | np.void | float) -> bytes:
+def _packed(part: NDArray[np.float64] | NDArray[np.void] | np.void | float) -> bytes:
     """Return the bytes of one field or of a whole record. The usual case first: this runs for every field."""
     if type(part) is float:
         return _DOUBLE.pack(part)

@@ -14,8 +14,9 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 from companion.mavlink.framing import Framer, is_signed
+from companion.mavlink.layouts import mav as mav  # for whoever speaks over the link
+from companion.mavlink.packed import packed
 from companion.mavlink.received import Received, read
-from companion.mavlink.received import mav as mav  # for whoever speaks over the link
 from companion.mavlink.signing import FORGED, REPLAYED, UNSIGNED, Signer
 from companion.mavlink.stream_timing import STREAMS, StreamTiming
 from companion.mavlink.timesync import TimeSync
@@ -265,18 +266,18 @@ class Link:
         """Pack and send one message; False when it could not go out now (counted)."""
         if self.signer is not None:
             self.signer.prepare(self._codec)
-        frame = message.pack(self._codec)
+        frame = packed(message, self._codec)
         self._codec.seq = (self._codec.seq + 1) % 256
         sent = self._transport.send(frame)
         self.counters["sent" if sent else "unsent"] += 1
         if sent and self._tap is not None:
-            self._tap(True, self._boot_time_s, bytes(frame))
+            self._tap(True, self._boot_time_s, frame)
         return sent
 
     def keep_alive(self) -> None:
         """Send our HEARTBEAT at 1 Hz and a TIMESYNC question at 10 Hz, by the autopilot's clock while it speaks."""
         now_ns = self._now_ns()
-        alone = self.silence_s > HEARTBEAT_PERIOD_S
+        alone = not self.last_message_ns or (now_ns - self.last_message_ns) * 1e-9 > HEARTBEAT_PERIOD_S
         due = (
             (now_ns - self._last_heartbeat_ns) * 1e-9 >= HEARTBEAT_PERIOD_S
             if alone

@@ -9,68 +9,17 @@ and pymavlink reads those.
 
 from __future__ import annotations
 
-import os
 import struct
 from typing import Any
 
-os.environ.setdefault("MAVLINK20", "1")
 from fastcrc.crc16 import mcrf4xx
-from pymavlink.dialects.v20 import all as every_dialect  # CURRENT_MODE is in no smaller one
 
 from companion.mavlink.framing import MAGIC_V1, MAGIC_V2, SIGNED_FLAG
-
-mav: Any = every_dialect
+from companion.mavlink.layouts import LAYOUTS, Layout, mav
 
 SIGNATURE_BYTES = 13
 _HEAD_V1 = struct.Struct("<xBBBBB")  # length, sequence, system, component, message
 _HEAD_V2 = struct.Struct("<xBBxBBBHB")  # length, flags, sequence, system, component, message (low, high)
-_STAMP = "time_boot_ms"
-
-
-class Layout:
-    """How a message of the dialect lies in its payload."""
-
-    __slots__ = (
-        "arrays",
-        "crc_extra",
-        "message_id",
-        "name",
-        "names",
-        "plain",
-        "size",
-        "stamp_at",
-        "stamp_us_at",
-        "unpack",
-    )
-
-    def __init__(self, kind: Any) -> None:
-        """`kind`: the message's class in pymavlink."""
-        self.name: str = kind.msgname
-        self.message_id: int = kind.id
-        self.crc_extra = bytes((kind.crc_extra,))
-        self.unpack = kind.unpacker.unpack_from
-        self.size: int = kind.unpacker.size
-        self.names: tuple[str, ...] = tuple(kind.ordered_fieldnames)
-        self.arrays: tuple[int, ...] = tuple(kind.lengths)
-        self.plain = "char" not in kind.fieldtypes
-        """Numbers only: no text whose end has to be found."""
-        self.stamp_at = self._place_of(_STAMP, kind)
-        """Where the time since boot stands in the payload (uint32, ms); -1 where there is none."""
-        self.stamp_us_at = self._place_of("time_usec", kind)
-        """The same of `time_usec` (uint64, µs)."""
-
-    def _place_of(self, field: str, kind: Any) -> int:
-        if field not in self.names:
-            return -1
-        before = kind.native_format.decode()[1:]
-        counts = [max(1, count) for count in kind.array_lengths]
-        place = self.names.index(field)
-        return struct.calcsize(
-            "<" + "".join(f"{count}{code}" for count, code in zip(counts[:place], before, strict=False))
-        )
-
-
-LAYOUTS = {number: Layout(kind) for number, kind in mav.mavlink_map.items()}
 
 
 class Received:
@@ -171,10 +120,10 @@ class Received:
         if len(payload) < layout.size:
             payload += bytes(layout.size - len(payload))
         numbers = layout.unpack(payload)
-        if len(numbers) == len(layout.names):
+        if not layout.has_arrays:
             return dict(zip(layout.names, numbers, strict=True))
         fields, place = {}, 0
-        for name, count in zip(layout.names, layout.arrays, strict=True):
+        for name, count in zip(layout.names, layout.counts, strict=True):
             fields[name] = numbers[place] if count == 1 else list(numbers[place : place + count])
             place += count
         return fields

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -22,6 +21,10 @@ JUMP_M = 0.3  # a position this far from where the velocity leads is an estimato
 FARTHEST_M = 1e5
 FASTEST_M_S = 200.0
 FASTEST_RATE_RAD_S = 100.0
+_POSITION: int = mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED
+_ATTITUDE: int = mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION
+STATE_MESSAGES = frozenset((_POSITION, _ATTITUDE))
+_Triple = tuple[float, float, float]
 
 
 class StateAssembler:
@@ -31,9 +34,11 @@ class StateAssembler:
         self.counters: Counter[str] = Counter()
         self.attitude_time_s = -math.inf
         self.position_time_s = -math.inf
+        self._motion_ned: tuple[_Triple, _Triple] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+        """Position and velocity as they came."""
         self._position_enu: Vector | None = None
         self._velocity_enu: Vector = np.zeros(3)
-        self._jump_enu: Vector = np.zeros(3)
+        self._jump_enu: Vector | None = None
 
     @property
     def velocity_enu(self) -> Vector:
@@ -43,43 +48,55 @@ class StateAssembler:
     def take(self, message: Message) -> VehicleState | None:
         """Take one message; return the state when it completes one."""
         kind = message.get_msgId()
-        if kind == mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED:
+        if kind == _POSITION:
             self._take_position(message)
             return None
-        if kind == mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION:
-            return self._take_attitude(message)
-        return None
+        return self._take_attitude(message) if kind == _ATTITUDE else None
 
-    def take_jump(self) -> Vector:
-        """(3,) m ENU by which the estimate jumped since last asked: a reset of the estimator, not a movement."""
-        jump, self._jump_enu = self._jump_enu, np.zeros(3)
+    def take_jump(self) -> Vector | None:
+        """(3,) m ENU by which the estimate jumped since last asked, None where it did not.
+
+        A reset of the estimator, not a movement.
+        """
+        jump, self._jump_enu = self._jump_enu, None
         return jump
 
     def _take_position(self, message: Message) -> None:
         time_s = message.time_boot_ms * 1e-3
-        numbers = (message.x, message.y, message.z, message.vx, message.vy, message.vz)
-        if not _bounded(numbers[:3], FARTHEST_M) or not _bounded(numbers[3:], FASTEST_M_S):
+        place = (message.x, message.y, message.z)
+        speed = (message.vx, message.vy, message.vz)
+        if not _bounded(place, FARTHEST_M) or not _bounded(speed, FASTEST_M_S):
             self.counters["impossible positions"] += 1
             return
         if not self._newer(time_s, self.position_time_s, "position"):
             return
-        position, velocity = enu_from_ned(numbers[:3]), enu_from_ned(numbers[3:])
-        elapsed = time_s - self.position_time_s
-        if self._position_enu is not None and 0.0 < elapsed < POSITION_TOO_OLD_S:
-            unexplained = position - self._position_enu - 0.5 * elapsed * (velocity + self._velocity_enu)
-            if float(np.linalg.norm(unexplained)) > JUMP_M:
-                self.counters["position jumps"] += 1
-                self._jump_enu = self._jump_enu + unexplained
-        self._position_enu, self._velocity_enu, self.position_time_s = position, velocity, time_s
+        elapsed_s = time_s - self.position_time_s
+        if 0.0 < elapsed_s < POSITION_TOO_OLD_S:
+            self._note_jump(place, speed, elapsed_s)
+        self._motion_ned, self.position_time_s = (place, speed), time_s
+        self._position_enu, self._velocity_enu = enu_from_ned(place), enu_from_ned(speed)
+
+    def _note_jump(self, place: _Triple, speed: _Triple, elapsed_s: float) -> None:
+        """Compare a position with where the one before it leads to, both NED."""
+        unexplained = tuple(
+            new - old - 0.5 * elapsed_s * (speed_new + speed_old)
+            for new, old, speed_new, speed_old in zip(
+                place, self._motion_ned[0], speed, self._motion_ned[1], strict=True
+            )
+        )
+        if math.hypot(*unexplained) > JUMP_M:
+            self.counters["position jumps"] += 1
+            jump = enu_from_ned(unexplained)
+            self._jump_enu = jump if self._jump_enu is None else self._jump_enu + jump
 
     def _take_attitude(self, message: Message) -> VehicleState | None:
         time_s = message.time_boot_ms * 1e-3
-        quaternion = (message.q1, message.q2, message.q3, message.q4)
+        w, x, y, z = quaternion = (message.q1, message.q2, message.q3, message.q4)
         rates = (message.rollspeed, message.pitchspeed, message.yawspeed)
         if not _bounded(quaternion, 1.1) or not _bounded(rates, FASTEST_RATE_RAD_S):
             self.counters["impossible attitudes"] += 1
             return None
-        norm = math.sqrt(sum(q * q for q in quaternion))
+        norm = math.sqrt(w * w + x * x + y * y + z * z)
         if abs(norm - 1.0) > 0.05:
             self.counters["impossible attitudes"] += 1
             return None
@@ -94,7 +111,7 @@ class StateAssembler:
             time_s=time_s,
             position_enu=self._position_enu + ahead_s * self._velocity_enu,
             velocity_enu=self._velocity_enu,
-            quaternion_wxyz=quaternion_enu_flu_from_ned_frd(np.array(quaternion) / norm),
+            quaternion_wxyz=quaternion_enu_flu_from_ned_frd((w / norm, x / norm, y / norm, z / norm)),
             body_rate_flu=flu_from_frd(rates),
         )
 
@@ -106,5 +123,5 @@ class StateAssembler:
         return True
 
 
-def _bounded(numbers: Sequence[float], limit: float) -> bool:
-    return all(math.isfinite(number) and abs(number) <= limit for number in numbers)
+def _bounded(numbers: tuple[float, ...], limit: float) -> bool:
+    return -limit <= min(numbers) and max(numbers) <= limit and not any(map(math.isnan, numbers))

@@ -7,6 +7,7 @@ fault of the link ends, everything that is late arrives at once.
 
 from __future__ import annotations
 
+import functools
 import heapq
 import random
 from collections import Counter
@@ -88,8 +89,8 @@ class FrameFaults:
         self._link_numbers[id(link)] = len(self._link_numbers)
         self._numbers[id(link)] = _Numbers()
         link.muted = self._muted
-        link.overtaking = lambda layout, values: self._overtake(link, layout, values)
-        link.outgoing = lambda layout, frame: self._send(link, layout, frame)
+        link.overtaking = functools.partial(self._overtake, link)
+        link.outgoing = functools.partial(self._send, link)
 
     def let_go(self, link: Link) -> None:
         """Forget a link and what is still on its way."""

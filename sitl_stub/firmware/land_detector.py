@@ -36,12 +36,12 @@ class LandDetector:
             return
         least, hover = parameters["MPC_THR_MIN"], parameters["MPC_THR_HOVER"]
         low_thrust = thrust < least + 0.3 * max(hover - least, 0.05)
-        vx, vy, vz = (float(v) for v in velocity_ned)
+        vx, vy, vz = velocity_ned.tolist()
         still = (
             abs(vz) < parameters["LNDMC_Z_VEL_MAX"] and math.hypot(vx, vy) < parameters["LNDMC_XY_VEL_MAX"]
         )
         limit = math.radians(parameters["LNDMC_ROT_MAX"])
-        turning = math.hypot(float(body_rate_frd[0]), float(body_rate_frd[1])) > limit
+        turning = math.hypot(*body_rate_frd[:2].tolist()) > limit
         if self.landed:
             if not low_thrust:
                 self.landed = self.ground_contact = False

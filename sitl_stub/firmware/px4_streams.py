@@ -6,6 +6,7 @@ globe are flat about SIH_LOC_LAT0, SIH_LOC_LON0, SIH_LOC_H0.
 
 from __future__ import annotations
 
+import functools
 import math
 import struct
 from collections.abc import Mapping, Sequence
@@ -264,8 +265,8 @@ class Px4Messages:
         a = self.autopilot
         if not a.home_known or not a.core.position_valid:
             return None
-        x, y, z = (float(value) for value in a.core.position_ned)
-        vx, vy, vz = (_int16(100.0 * float(value)) for value in a.core.velocity_ned)
+        x, y, z = a.core.position_ned.tolist()
+        vx, vy, vz = (_int16(100.0 * value) for value in a.core.velocity_ned.tolist())
         latitude, longitude = self.origin.globe_e7(x, y)
         heading = round(math.degrees(a.core.yaw) % 360.0 * 100) % 36000
         above_home = round((float(a.home_ned[2]) - z) * 1000)
@@ -292,7 +293,7 @@ class Px4Messages:
     def gps_raw_int(self, link: Link) -> Values:
         """GPS_RAW_INT: the estimate as a receiver with 10 satellites would report it."""
         a = self.autopilot
-        x, y, z = (float(value) for value in a.core.position_ned)
+        x, y, z = a.core.position_ned.tolist()
         vx, vy = float(a.core.velocity_ned[0]), float(a.core.velocity_ned[1])
         latitude, longitude = self.origin.globe_e7(x, y)
         altitude = round(self.altitude_of(z) * 1000)
@@ -321,7 +322,7 @@ class Px4Messages:
     def vfr_hud(self, link: Link) -> Values:
         """VFR_HUD."""
         a = self.autopilot
-        vx, vy, vz = (float(value) for value in a.core.velocity_ned)
+        vx, vy, vz = a.core.velocity_ned.tolist()
         throttle = round(100.0 * float(a.core.memory[at.OUT_THRUST])) if a.commander.armed else 0
         heading = int(math.degrees(a.core.yaw) % 360.0)
         altitude = self.altitude_of(float(a.core.position_ned[2]))
@@ -340,11 +341,11 @@ class Px4Messages:
     def attitude(self, link: Link) -> Values:
         """ATTITUDE: Euler angles of the estimate."""
         core = self.autopilot.core
-        w, x, y, z = (float(value) for value in core.quaternion)
+        w, x, y, z = core.quaternion.tolist()
         roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
         pitch = math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0))
         yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-        p, q, r = (float(value) for value in core.body_rate_frd)
+        p, q, r = core.body_rate_frd.tolist()
         return (self.autopilot.clock_us // 1000, roll, pitch, yaw, p, q, r)
 
     def attitude_quaternion(self, link: Link) -> Values:
@@ -361,14 +362,7 @@ class Px4Messages:
     def odometry(self, link: Link) -> Values:
         """ODOMETRY of the estimate: MAV_FRAME_LOCAL_NED for both, as PX4 sends it."""
         core = self.autopilot.core
-        preset = core.estimator.preset
-        pose = [NAN] * 21
-        velocity = [NAN] * 21
-        for axis, index in enumerate((0, 6, 11)):
-            pose[index] = preset.position.sd[axis] ** 2
-            velocity[index] = preset.velocity.sd[axis] ** 2
-        for axis, index in enumerate((15, 18, 20)):
-            pose[index] = preset.attitude.sd[axis] ** 2
+        pose, velocity = self._covariances
         resets = int(core.estimate[19] + core.estimate[20]) & 0xFF
         motion = (*core.position_ned.tolist(), *core.quaternion.tolist(), *core.velocity_ned.tolist())
         return (
@@ -383,6 +377,19 @@ class Px4Messages:
             8,
             0,
         )
+
+    @functools.cached_property
+    def _covariances(self) -> tuple[list[float], list[float]]:
+        """Upper triangles (21,) of the pose's and the velocity's covariance, as the estimator's preset has them."""
+        preset = self.autopilot.core.estimator.preset
+        pose = [NAN] * 21
+        velocity = [NAN] * 21
+        for axis, index in enumerate((0, 6, 11)):
+            pose[index] = preset.position.sd[axis] ** 2
+            velocity[index] = preset.velocity.sd[axis] ** 2
+        for axis, index in enumerate((15, 18, 20)):
+            pose[index] = preset.attitude.sd[axis] ** 2
+        return pose, velocity
 
     def highres_imu(self, link: Link) -> Values:
         """HIGHRES_IMU."""

@@ -85,7 +85,7 @@ class VehicleCore:
     @property
     def yaw(self) -> float:
         """Estimated heading, rad, clockwise from north."""
-        w, x, y, z = (float(value) for value in self.quaternion)
+        w, x, y, z = self.quaternion.tolist()
         return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
     @property

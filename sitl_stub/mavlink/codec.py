@@ -1,25 +1,30 @@
 """MAVLink frames to values and back, MAVLink 1 and 2, without shared parse state between datagrams.
 
-pymavlink supplies the message tables; packing and splitting are done here because a lockstep flight at
-20 times real time sends some 10,000 frames a second and pymavlink's own message objects cost several times
-more. Messages newer than pymavlink's tables (PX4 1.17 sends some) are added in `NEWER_MESSAGES`.
+The message tables are pymavlink's, kept in `data/messages.json` because importing them takes longer than all else that a
+stub does until it is ready; packing and splitting are done here because a lockstep flight at 20 times real time sends
+some 10,000 frames a second and pymavlink's own message objects cost several times more. Messages newer than
+pymavlink's tables (PX4 1.17 sends some) are added in `NEWER_MESSAGES`.
 """
 
 from __future__ import annotations
 
+import json
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from fastcrc.crc16 import mcrf4xx as _crc
-from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 MAVLINK1_MAGIC = 0xFE
 MAVLINK2_MAGIC = 0xFD
 SIGNED_FLAG = 0x01
 SIGNATURE_BYTES = 13
 BROADCAST = 0
+_HEAD2 = struct.Struct("<BBBBBBHB")
+"""Length, two kinds of flags, sequence, system, component, message number (low, high)."""
+_BYTES = tuple(bytes((number,)) for number in range(256))
 
 # name -> (message id, CRC extra, wire format, field names in wire order). The CRC extras were found from
 # the checksums of frames in the PX4 1.17 capture.
@@ -73,22 +78,23 @@ class MessageLayout:
     """Payload length without MAVLink 2 extension fields, bytes."""
 
 
+def _field(entry: str) -> tuple[str, int]:
+    """Name and number of values of `name`, `name[4]` or, a string, `name[]`."""
+    name, bracket, count = entry.rstrip("]").partition("[")
+    return name, int(count or -1) if bracket else 0
+
+
 def _build_layouts() -> tuple[dict[str, MessageLayout], dict[int, MessageLayout]]:
+    table = (Path(__file__).parent / "data" / "messages.json").read_text(encoding="utf-8")
     by_name: dict[str, MessageLayout] = {}
-    for message_id, cls in dialect.mavlink_map.items():
-        names = tuple(cls.ordered_fieldnames)
-        # pymavlink keeps array lengths in wire order; strings are one value of the unpacked tuple.
-        lengths = []
-        for index, name in enumerate(names):
-            wire_type = cls.fieldtypes[cls.fieldnames.index(name)]
-            lengths.append(-1 if wire_type == "char" else cls.array_lengths[index])
-        by_name[cls.msgname] = MessageLayout(
-            cls.msgname, message_id, cls.crc_extra, cls.unpacker, names, tuple(lengths), cls.unpacker.size
-        )
+    for name, (message_id, extra, wire_format, entries) in json.loads(table).items():
+        packer = struct.Struct(wire_format)
+        names, lengths = zip(*(_field(entry) for entry in entries.split()), strict=True)
+        by_name[name] = MessageLayout(name, message_id, extra, packer, names, lengths, packer.size)
     for name, (message_id, extra, wire_format, names) in NEWER_MESSAGES.items():
         packer = struct.Struct(wire_format)
-        lengths = [-1 if field_name == "arguments" else 0 for field_name in names]
-        by_name[name] = MessageLayout(name, message_id, extra, packer, names, tuple(lengths), packer.size)
+        lengths = tuple(-1 if field_name == "arguments" else 0 for field_name in names)
+        by_name[name] = MessageLayout(name, message_id, extra, packer, names, lengths, packer.size)
     return by_name, {layout.message_id: layout for layout in by_name.values()}
 
 
@@ -253,22 +259,18 @@ class FrameWriter:
 
     def frame_of_payload(self, layout: MessageLayout, payload: bytes) -> bytes:
         """One frame of a payload already packed."""
-        sequence = self.sequence
+        sequence, number = self.sequence, layout.message_id
         self.sequence = (sequence + 1) & 0xFF
-        message_id = layout.message_id
         if self.version == 2:
             payload = payload.rstrip(b"\0") or b"\0"
-            body = (
-                bytes((len(payload), 0, 0, sequence, self.system, self.component))
-                + message_id.to_bytes(3, "little")
-                + payload
-            )
+            ids = (self.system, self.component, number & 0xFFFF, number >> 16)
+            body = _HEAD2.pack(len(payload), 0, 0, sequence, *ids) + payload
             start = b"\xfd"
         else:
             payload = payload[: mavlink1_length(layout)]
-            body = bytes((len(payload), sequence, self.system, self.component, message_id)) + payload
+            body = bytes((len(payload), sequence, self.system, self.component, number)) + payload
             start = b"\xfe"
-        return start + body + _crc(body + bytes((layout.crc_extra,))).to_bytes(2, "little")
+        return start + body + _crc(body + _BYTES[layout.crc_extra]).to_bytes(2, "little")
 
 
 def whole_frame(frame: bytes) -> tuple[int, MessageLayout] | None:

@@ -247,7 +247,8 @@ class UdpPort:
                 link.heard = True
                 link.refused = False
                 batches.append((link, messages))
-        self._forget_errors()
+        if not batches:
+            self._forget_errors()
         return batches
 
     def _forget_errors(self) -> None:

@@ -184,11 +184,15 @@ def test_lost_parameters_leave_holes_that_a_read_fills() -> None:
     ids=lambda fault: fault["kind"],
 )
 def test_the_seed_decides(fault: dict[str, Any]) -> None:
-    def frames(seed: int) -> list[bytes]:
+    def frames(seed: int) -> list[list[bytes]]:
+        """What has come by each of 100 moments."""
         client = with_faults(MemoryClient(), fault, seed=seed)
         client.send(mavlink.MAVLink_param_request_list_message(1, 1))
-        client.advance(1.0)
-        return client.link.frames
+        moments = []
+        for _ in range(100):
+            client.advance(0.01)
+            moments.append(list(client.link.frames))
+        return moments
 
     first = frames(1)
     assert frames(1) == first

@@ -88,7 +88,7 @@ def test_a_reboot_is_not_late():
     feed(assembler, local_position(60_000, (0, 5.0, 0)), attitude(60_000))
     states = feed(assembler, local_position(1500, (0, 1.0, 0)), attitude(1510))
     assert [state.position_enu[0] for state in states] == [1.0]
-    np.testing.assert_array_equal(assembler.take_jump(), np.zeros(3))
+    assert assembler.take_jump() is None
 
 
 @pytest.mark.parametrize("bad", [NAN, INFINITE, -INFINITE, 1e6])
@@ -134,7 +134,7 @@ def test_a_reset_of_the_estimator_is_reported_once_with_its_size():
     feed(assembler, local_position(1000, (0, 0, 0), (1.0, 0, 0)))
     feed(assembler, local_position(1020, (0.42, 0, 0), (1.0, 0, 0)))
     np.testing.assert_allclose(assembler.take_jump(), [0.0, 0.40, 0.0], atol=1e-6)
-    np.testing.assert_array_equal(assembler.take_jump(), np.zeros(3))
+    assert assembler.take_jump() is None
     assert assembler.counters["position jumps"] == 1
 
 
@@ -153,11 +153,11 @@ def test_hard_flight_is_no_jump(speed, acceleration, period_ms):
     feed(assembler, local_position(1000, (0, 0, 0), (speed, 0, 0)))
     moved = speed * dt_s + 0.5 * acceleration * dt_s**2
     feed(assembler, local_position(1000 + period_ms, (moved, 0, 0), (speed + acceleration * dt_s, 0, 0)))
-    assert float(np.linalg.norm(assembler.take_jump())) == 0.0
+    assert assembler.take_jump() is None
 
 
 def test_a_jump_after_a_gap_is_not_claimed():
     """Longer than a position is carried nobody knows what the vehicle did."""
     assembler = StateAssembler()
     feed(assembler, local_position(1000), local_position(1600, (5.0 * JUMP_M, 0, 0)))
-    np.testing.assert_array_equal(assembler.take_jump(), np.zeros(3))
+    assert assembler.take_jump() is None
