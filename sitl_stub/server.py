@@ -240,8 +240,7 @@ class Server:
     def _run_lockstep(self, autopilot: Autopilot) -> None:
         self._wait_for_first_answer(autopilot)
         while not self._finished(autopilot):
-            if not self.free_running and autopilot.step():
-                self._request_answers(autopilot)
+            if not self.free_running and self._step(autopilot):
                 self._wait_for_answers(autopilot)
             else:
                 self._handle(self._receive(0.0, obey=False))
@@ -254,6 +253,18 @@ class Server:
                     self.say("TIMESYNC answers are back: lockstep again")
             if autopilot.time_us % 1_000_000 == 0:
                 self._drop_silent(autopilot)
+
+    def _step(self, autopilot: Autopilot) -> int:
+        """One instant, its messages and questions sent together; returns the number of messages."""
+        links = list(autopilot.links)
+        for link in links:
+            link.gathers = True
+        sent = autopilot.step()
+        if sent:
+            self._request_answers(autopilot)
+        for link in links:
+            link.send_gathered()
+        return sent
 
     def _wait_for_first_answer(self, autopilot: Autopilot) -> None:
         """Repeat HEARTBEAT and TIMESYNC at the first instant until a client answers; time stands still."""

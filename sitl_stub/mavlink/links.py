@@ -59,6 +59,9 @@ class Link:
         """What a frame goes through instead of `send_bytes`: faults of the link."""
         self.overtaking: Callable[[MessageLayout, tuple[Any, ...]], None] | None = None
         """What sends a message past frames that are still on their way."""
+        self.gathers = False
+        """Whether frames wait for `send_gathered`. In lockstep those of one instant leave together: a client that is
+        woken by the first of them while the next is being made goes to sleep and wakes again, for each."""
 
     def send_frame(self, layout: MessageLayout, values: tuple[Any, ...]) -> None:
         """Send one message given its values in wire order."""
@@ -102,6 +105,10 @@ class Link:
     def send_bytes(self, frame: bytes) -> None:
         """Hand one frame to the socket."""
         raise NotImplementedError
+
+    def send_gathered(self) -> None:
+        """Gather no longer, and hand over what has been."""
+        self.gathers = False
 
 
 class MemoryLink(Link):
@@ -147,9 +154,23 @@ class UdpLink(Link):
         super().__init__(f"udp {address[0]}:{address[1]}", role)
         self.port = port
         self.address = address
+        self._gathered: list[bytes] = []
 
     def send_bytes(self, frame: bytes) -> None:
         """Send one datagram; a full buffer or an absent client loses it, as on a real link."""
+        if self.gathers:
+            self._gathered.append(frame)
+        else:
+            self._send(frame)
+
+    def send_gathered(self) -> None:
+        """See `Link.send_gathered`: still a datagram for each frame."""
+        self.gathers = False
+        frames, self._gathered = self._gathered, []
+        for frame in frames:
+            self._send(frame)
+
+    def _send(self, frame: bytes) -> None:
         try:
             self.port.socket.sendto(frame, self.address)
             self.refused = False
@@ -293,6 +314,12 @@ class TcpLink(Link):
             self.traffic.overflows += 1
             return
         self.waiting += frame
+        if not self.gathers:
+            self.flush()
+
+    def send_gathered(self) -> None:
+        """See `Link.send_gathered`."""
+        self.gathers = False
         self.flush()
 
     def flush(self) -> None:
