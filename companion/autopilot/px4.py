@@ -176,7 +176,8 @@ class Px4(Adapter):
                     "COM_DISARM_PRFLT",
                     f"{idle:.0f} s",
                     "if the companion dies before lift-off, the vehicle stays armed on the ground",
-                    "param set COM_DISARM_PRFLT 10",
+                    "param set COM_DISARM_PRFLT 10, or fly with --fix",
+                    ("COM_DISARM_PRFLT", 10.0),
                 )
             )
         override = parameters.get("COM_RC_OVERRIDE")

@@ -38,6 +38,8 @@ EXCEPT_AUTO, EXCEPT_OFFBOARD = 2, 4
 """Bits of COM_RCL_EXCEPT."""
 NO_STICKS_AT_ALL = 4
 """COM_RC_IN_MODE."""
+LONGEST_HOLD_S = 25.0
+"""Greatest COM_FAIL_ACT_T that PX4 documents."""
 STICKS_CAUSE = 1
 """failsafe_cause_t."""
 FALLBACK_SEVERITY = {Mode.POSCTL: 2, Mode.ALTCTL: 3, Mode.STABILIZED: 4}
@@ -291,7 +293,7 @@ class Commander:
         a = self.autopilot
         if self._hold_until_us is None:
             delayed = action is not Mode.LOITER and not self.failsafe and self.can_run(Mode.LOITER)
-            wait_s = a.parameters["COM_FAIL_ACT_T"] if delayed else 0.0
+            wait_s = min(max(float(a.parameters["COM_FAIL_ACT_T"]), 0.0), LONGEST_HOLD_S) if delayed else 0.0
             self._hold_until_us = a.time_us + int(wait_s * 1e6)
             name = action.value.name
             text = f"{cause}: switching to {name}"

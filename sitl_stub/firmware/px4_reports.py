@@ -21,6 +21,9 @@ Values = tuple[Any, ...]
 
 RECEIVER_ID = 4
 """Last byte of the device id of PX4's simulated receiver, as in the capture."""
+LONGEST_S = 2**31 - 1
+SLOWEST_M_S = 0.1
+"""Parameters may be set to anything; slower than this is taken for this."""
 UNKNOWN_8, UNKNOWN_16 = 255, 65535
 UNTOLD_ID = (0,) * 20
 """`id_or_mac`, which only messages about other aircraft carry."""
@@ -70,7 +73,7 @@ class Px4Reports:
 
     def time_estimate_to_target(self, link: Link) -> Values:
         """TIME_ESTIMATE_TO_TARGET: seconds that RTL would take at the most; PX4 estimates nothing else."""
-        return (int(self._safe_return_s()), -1, -1, -1, -1)
+        return (int(min(max(self._safe_return_s(), 0.0), LONGEST_S)), -1, -1, -1, -1)
 
     def _safe_return_s(self) -> float:
         """As `RtlDirect::calc_rtl_time_estimate`; 0 on the ground or without a place."""
@@ -81,14 +84,15 @@ class Px4Reports:
         north, east, down = core.position_ned.tolist()
         home = a.home_ned.tolist()
         height = float(home[2] - down)
-        up, sink = float(p["MPC_Z_V_AUTO_UP"]), float(p["MPC_Z_V_AUTO_DN"])
+        names = ("MPC_Z_V_AUTO_UP", "MPC_Z_V_AUTO_DN", "MPC_XY_CRUISE")
+        up, sink, along = (max(float(p[name]), SLOWEST_M_S) for name in names)
         if navigator.mode is Mode.RTL and navigator.stage == "land":
             seconds = abs(height) / sink
         else:
             away = math.hypot(north - home[0], east - home[1])
             top = navigator.return_height(away, height)
             low = min(float(p["RTL_DESCEND_ALT"]), top)
-            seconds = (top - height) / up + away / float(p["MPC_XY_CRUISE"]) + (top - low) / sink
+            seconds = (top - height) / up + away / along + (top - low) / sink
             if p["RTL_LAND_DELAY"] >= 0.0:  # a negative one waits there for good
                 seconds += float(p["RTL_LAND_DELAY"]) + low / sink
         return float(p["RTL_TIME_FACTOR"]) * seconds + float(p["RTL_TIME_MARGIN"])

@@ -61,6 +61,11 @@ def test_the_way_home_in_seconds_as_the_capture_tells_it() -> None:
     client.advance(8.0, every=lambda: client.position(6.0, 0.0, -2.0))
     # 6 m off it climbs to 6 m at 3 m/s, flies at 5 m/s, and comes down at 1.5 m/s
     assert client.last("TIME_ESTIMATE_TO_TARGET").safe_return == int(100 + 1.1 * (4 / 3 + 6 / 5 + 6 / 1.5))
+    # parameters may be set to anything (found by scripts/hostile_frames.py)
+    for name, value in (("MPC_XY_CRUISE", 0.0), ("MPC_Z_V_AUTO_UP", -1e30), ("RTL_TIME_FACTOR", 3e38)):
+        client.autopilot.parameters.set(name, value)
+        client.advance(2.1, every=lambda: client.position(6.0, 0.0, -2.0))
+        assert client.last("TIME_ESTIMATE_TO_TARGET").safe_return >= 100
 
 
 def test_remote_identification_follows_the_flight() -> None:
