@@ -26,7 +26,7 @@ from companion.control.registry import build_law
 from companion.control.structs import Vector
 from companion.flight import realtime
 from companion.flight.control_loop import ControlLoop
-from companion.flight.flight import Flight, FlightRequest, FlightResult, Interrupts
+from companion.flight.flight import Flight
 from companion.flight.outcome import Refused
 from companion.flight.phases import Phase
 from companion.flight.plan import FlightPlan
@@ -34,6 +34,7 @@ from companion.flight.preflight import GOOD_TO_HAVE_HZ, Preflight
 from companion.flight.recorder import Recorder
 from companion.flight.reporter import Reporter
 from companion.flight.setpoint_gate import SetpointGate
+from companion.flight.stage import FlightRequest, FlightResult, Interrupts
 from companion.flight.vehicle import Vehicle
 from companion.flightlog.writer import FlightLog
 from companion.mavlink.bandwidth import LinePlan, describe, plan_line

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from companion.config.settings import load_settings
-from companion.flight.flight import FlightResult
 from companion.flight.phases import Phase
 from companion.flight.reporter import Reporter
 from companion.flight.session import SessionOptions, fly
+from companion.flight.stage import FlightResult
 from companion.flightlog.reader import FlightRecord, read_log
 from companion.mavlink.connection import Connection
 from companion.mavlink.endpoint import parse_endpoint
