@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 
-from sitl_stub.cli import FIRMWARES
+from sitl_stub.arguments import FIRMWARES
 from sitl_stub.stub_process import Stub, StubError
 
 OPTIONS = tuple(name for name in inspect.signature(Stub).parameters if name != "firmware")

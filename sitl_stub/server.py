@@ -167,6 +167,7 @@ class Server:
             if self._is_ahead(link):
                 self._held.append((link, message))
             elif message.name == "TIMESYNC" and message.values["tc1"] != 0:
+                link.traffic.pass_over(message)
                 self._answered(link, message.values["ts1"])
             elif link in autopilot.links:
                 autopilot.handle(link, message)
@@ -295,6 +296,8 @@ class Server:
             ):
                 for barrier in self._barriers.values():
                     barrier.waiting_for_ns = -1
+                for link in autopilot.links:
+                    link.traffic.clear()  # how long time stood still is no matter of the flight
                 return
 
     def _request_answer(self, link: Link, barrier: Barrier, clock_us: int) -> None:

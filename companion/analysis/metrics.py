@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.analysis.published import PUBLISHED_RMS
+from companion.analysis.streams import stream_delays
 from companion.analysis.tracking import Tracking, tracking_errors
 from companion.flightlog.reader import FlightRecord
 
@@ -35,6 +36,7 @@ class FlightMetrics:
     samples: dict[str, int]  # by source
     values: dict[str, dict[str, Triple]]
     notes: list[str]
+    streams: dict[str, dict[str, float | None]]  # by message: see `stream_delays`
 
     def get(self, statistic: str, error: str) -> Triple | None:
         """Return one triple, or None where the log does not give it."""
@@ -70,6 +72,7 @@ class FlightMetrics:
             "published_rms": PUBLISHED_RMS.get(self.controller),
             "log": self.log,
             "cut": self.cut or None,
+            "streams": self.streams,
             "notes": self.notes,
         }
 
@@ -115,6 +118,7 @@ def flight_metrics(
         samples={source: len(series.tracking_time_s) for source, series in sources.items()},
         values=values,
         notes=notes,
+        streams=stream_delays(record),
     )
     return metrics, tracking
 

@@ -40,8 +40,18 @@ def flight_table(metrics: FlightMetrics) -> Group:
                 end_section=axis == 2,
             )
     lines = [Text(f"ended: {metrics.ended}", style="green" if metrics.ended == "completed" else "yellow")]
+    lines += [_stream_line(name, numbers) for name, numbers in metrics.streams.items()]
     lines += [Text(f"note: {note}", style="yellow") for note in metrics.notes]
     return Group(table, *lines) if metrics.samples else Group(*lines)
+
+
+def _stream_line(name: str, numbers: dict[str, float | None]) -> Text:
+    """How one stream of the autopilot arrived."""
+    rate, jitter, age, age_95 = (numbers[key] for key in ("rate_hz", "jitter_s", "age_s", "age_95_s"))
+    text = f"{name}: {rate or 0.0:.0f} Hz"
+    if age is not None and age_95 is not None and jitter is not None:
+        text += f", {age * 1e3:.1f} ms old (95 %: {age_95 * 1e3:.1f}), jitter {jitter * 1e3:.1f} ms"
+    return Text(text)
 
 
 def _cell(numbers: Triple | None, axis: int, digits: int) -> str:

@@ -180,6 +180,13 @@ class Adapter(ABC):
         """The adapter for a vehicle with these parameters: this one, or another one of the same autopilot."""
         return self
 
+    pose_parameters: tuple[str, ...]
+    """Names of the parameters that say whether the estimator takes anything from ODOMETRY."""
+
+    @abstractmethod
+    def uses_poses(self, parameters: Mapping[str, float]) -> bool | None:
+        """Whether the estimator takes anything from ODOMETRY; None where the parameters do not say."""
+
     def tilt_limit_deg(self, parameters: Mapping[str, float]) -> float:
         """Where the autopilot cuts the tilt of our attitude setpoints, °; infinite where it does not."""
         return math.inf

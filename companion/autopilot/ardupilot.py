@@ -18,6 +18,10 @@ from companion.mavlink.protocol import Command
 THRUST_AS_THRUST = 8
 """Bit 3 of GUID_OPTIONS: SET_ATTITUDE_TARGET's thrust is thrust. Without it, it is a climb rate about 0.5."""
 
+_SOURCES = ("EK3_SRC1_POSXY", "EK3_SRC1_VELXY", "EK3_SRC1_POSZ", "EK3_SRC1_VELZ", "EK3_SRC1_YAW")
+EXTERNAL_NAVIGATION = 6.0
+"""The value of EK3_SRC1_… that means ODOMETRY and the like."""
+
 _GPS_TYPE = ("GPS1_TYPE", "GPS_TYPE")
 """The parameter that says which GPS there is, 0 none; the second name until 4.5."""
 
@@ -42,6 +46,7 @@ class ArduPilot(Adapter):
     takes_local_ned_odometry = False
     bytewise_parameters = False
     hover_thrust_parameter = "MOT_THST_HOVER"
+    pose_parameters = ("VISO_TYPE", *_SOURCES)
     modes = _MODES
 
     def mode(self, intent: Intent) -> Command:
@@ -80,6 +85,13 @@ class ArduPilot(Adapter):
         if newest is not None:
             return newest
         return older / 100.0 if older is not None else math.inf
+
+    def uses_poses(self, parameters: Mapping[str, float]) -> bool | None:
+        """See `Adapter.uses_poses`: VISO_TYPE on, and any source of the first set external navigation."""
+        sources = [parameters[name] for name in _SOURCES if name in parameters]
+        if parameters.get("VISO_TYPE") == 0.0:
+            return False
+        return EXTERNAL_NAVIGATION in sources if sources else None
 
     def check(
         self, parameters: Mapping[str, float], level: ControlLevel, version: tuple[int, int, int]

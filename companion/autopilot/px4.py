@@ -41,6 +41,7 @@ _AUTO_NAMES = {
 LAST_ACTUATOR_VERSION = (1, 13, 3)
 """The last release that acts on SET_ACTUATOR_CONTROL_TARGET; from 1.14 it arrives and nothing happens."""
 
+_HEIGHT_FROM_VISION = 3.0  # of EKF2_HGT_REF
 _LOSS_ACTIONS = {
     -1: "disabled",
     0: "position",
@@ -66,6 +67,7 @@ class Px4(Adapter):
     takes_local_ned_odometry = True
     bytewise_parameters = True
     hover_thrust_parameter = "MPC_THR_HOVER"
+    pose_parameters = ("EKF2_EV_CTRL",)  # until 1.13: EKF2_AID_MASK, which is not looked at
 
     def mode(self, intent: Intent) -> Command:
         """See `Adapter.mode`: base mode 1 (custom), main and sub mode."""
@@ -93,7 +95,14 @@ class Px4(Adapter):
             "COM_RCL_EXCEPT",
             "COM_SPOOLUP_TIME",
             "COM_DISARM_PRFLT",
+            "EKF2_HGT_REF",
+            "EKF2_RNG_CTRL",
         )
+
+    def uses_poses(self, parameters: Mapping[str, float]) -> bool | None:
+        """See `Adapter.uses_poses`: any bit of EKF2_EV_CTRL."""
+        fused = parameters.get("EKF2_EV_CTRL")
+        return None if fused is None else fused != 0.0
 
     def check(
         self, parameters: Mapping[str, float], level: ControlLevel, version: tuple[int, int, int]
@@ -167,7 +176,8 @@ class Px4(Adapter):
                     "COM_DISARM_PRFLT",
                     f"{idle:.0f} s",
                     "if the companion dies before lift-off, the vehicle stays armed on the ground",
-                    "param set COM_DISARM_PRFLT 10",
+                    "param set COM_DISARM_PRFLT 10, or fly with --fix",
+                    ("COM_DISARM_PRFLT", 10.0),
                 )
             )
         override = parameters.get("COM_RC_OVERRIDE")
@@ -179,6 +189,16 @@ class Px4(Adapter):
                     f"{override:.0f}",
                     "moving the sticks does not take the vehicle out of offboard; the mode switch does",
                     f"param set COM_RC_OVERRIDE {int(override) | 2}",
+                )
+            )
+        if parameters.get("EKF2_HGT_REF") == _HEIGHT_FROM_VISION and parameters.get("EKF2_RNG_CTRL") == 1.0:
+            findings.append(
+                Finding(
+                    Verdict.WARNING,
+                    "EKF2_RNG_CTRL",
+                    "1 (conditional)",
+                    "low and slow, a range finder takes the height reference from the poses, and height drifts off them",
+                    "param set EKF2_RNG_CTRL 0",
                 )
             )
         return findings

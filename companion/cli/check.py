@@ -9,13 +9,14 @@ import argparse
 import json
 from typing import Any
 
-from companion.cli.fly import add_link_options, connection_from
+from companion.cli.fly import add_link_options, connection_from, pose_address
 from companion.config.errors import UserError
 
 EPILOG = """examples:
   companion check --endpoint /dev/ttyACM0,921600 --profile my_drone.toml
   companion check --endpoint tcp:127.0.0.1:5760 --profile arducopter_sitl --set flight.procedure.ready_timeout_s=5
   companion check --endpoint tcp:127.0.0.1:5760 --profile arducopter_sitl --fix     for good; fly --fix for one flight
+  companion check --endpoint udpin:0.0.0.0:14540 --outside-poses 0.0.0.0:14600     are the source's axes right?
 
 Exit codes: 0 nothing stands in the way (warnings may), 2 a flight would be refused, or wrong input.
 """
@@ -37,6 +38,11 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--set", dest="overrides", action="append", default=[], metavar="KEY=VALUE", help="change a setting"
     )
+    parser.add_argument(
+        "--outside-poses",
+        metavar="[HOST:]PORT",
+        help="hear poses there as `fly` does, and look at their axes",
+    )
     parser.add_argument("--fix", action="store_true", help="set parameters that stand in the way, for good")
     parser.add_argument("--json", action="store_true", help="print JSON instead of the table")
 
@@ -49,11 +55,12 @@ def run(arguments: argparse.Namespace) -> int:
     from companion.flight.outcome import FlightEnd
     from companion.flight.session import check
 
+    poses = pose_address(arguments.outside_poses)
     settings = load_settings(arguments.profile, {"level": arguments.level}, arguments.overrides)
     reporter = ConsoleReporter()
     try:
         connection = connection_from(arguments, arguments.endpoint)
-        findings, changed = check(settings, connection, reporter, arguments.fix)
+        findings, changed = check(settings, connection, reporter, arguments.fix, poses)
     except FlightEnd as end:
         raise UserError(f"endpoint {arguments.endpoint}: {end}") from None
     refused = any(finding.verdict is Verdict.REFUSAL for finding in findings)

@@ -56,28 +56,40 @@ def run(arguments: argparse.Namespace) -> int:
         raise UserError(
             "give either logs of flights, or --sitl or --endpoint to fly them; see companion compare --help"
         )
-    logs = _fly_all(arguments) if flies else arguments.logs
-    show_comparison(logs, arguments.from_s, arguments.to_s, arguments.json, arguments.report)
-    return 0
+    if not flies:
+        show_comparison(arguments.logs, arguments.from_s, arguments.to_s, arguments.json, arguments.report)
+        return 0
+    logs, code = _fly_all(arguments)
+    if logs:
+        show_comparison(logs, arguments.from_s, arguments.to_s, arguments.json, arguments.report)
+    return code
 
 
-def _fly_all(arguments: argparse.Namespace) -> list[Path]:
+def _fly_all(arguments: argparse.Namespace) -> tuple[list[Path], int]:
+    """Fly them one after another; returns the logs to compare and the exit code.
+
+    Ctrl-C ends the series. So does, on a vehicle that is not the bundled stub, any flight that did not go as planned:
+    a pilot who took the vehicle, or a limit that was reached, must not be followed by another take-off.
+    """
     controllers = [name.strip() for name in arguments.controllers.split(",") if name.strip()]
     seeds = parse_seeds(arguments.seeds)
     folder = Path(arguments.folder or default_log_path("compare", arguments.level).with_suffix(""))
-    logs = []
-    for number, (seed, controller) in enumerate([(s, c) for s in seeds for c in controllers], start=1):
-        print(
-            f"== flight {number} of {len(seeds) * len(controllers)}: {controller}, seed {seed}",
-            file=sys.stderr,
-        )
+    flights = [(seed, controller) for seed in seeds for controller in controllers]
+    logs: list[Path] = []
+    for number, (seed, controller) in enumerate(flights, start=1):
+        print(f"== flight {number} of {len(flights)}: {controller}, seed {seed}", file=sys.stderr)
         log = folder / f"{controller}-{arguments.level}-seed{seed}.mcap"
         outcome, text, code = fly_once(arguments, controller, seed, log, overwrite=True)
         print(f"{outcome}: {text}", file=sys.stderr)
         if code == 2:
             raise UserError(f"{controller}, seed {seed}, was refused; nothing to compare")
+        if outcome == "interrupted" or (code and not arguments.sitl):
+            print(
+                f"the series ends here: {len(flights) - number} not flown; logs in {folder}", file=sys.stderr
+            )
+            return logs, code
         logs.append(log)
-    return logs
+    return logs, 0
 
 
 def parse_seeds(text: str) -> list[int]:

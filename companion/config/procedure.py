@@ -24,10 +24,12 @@ class Procedure(SettingsModel):
     """Rise of thrust at lift-off, hover thrusts per second."""
     lift_off_limit: float = Field(default=0.9, gt=0.0, le=1.0)
     """Normalised thrust at which lift-off is given up."""
-    lift_off_height_m: Positive = 0.08
-    """Height above the ground that, with `lift_off_speed_m_s`, means the vehicle flies, m."""
-    lift_off_speed_m_s: Positive = 0.15
-    """Upward speed that goes with that height, m/s."""
+    lift_off_least: float = Field(default=0.6, ge=0.0, le=1.0)
+    """Thrust below which no vehicle is believed to fly, in hover thrusts (the parameter may be too high)."""
+    lift_off_height_m: Positive = 0.05
+    """Height gained within half a second that, with `lift_off_speed_m_s`, means the vehicle flies, m."""
+    lift_off_speed_m_s: Positive = 0.25
+    """Upward speed gained in the same time, m/s."""
     hold_s: NotNegative = 5.0
     """Standing still before the run-in, s."""
     transit_speed_m_s: Positive = 0.8

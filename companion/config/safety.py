@@ -100,6 +100,10 @@ QUANTITIES: dict[str, Quantity] = {
     "sensors_unhealthy": Quantity("sensors"),
     "position_jump_m": Quantity("m"),
     "yaw_jump_deg": Quantity("°"),
+    "velocity_mismatch": Quantity(""),
+    "pose_tilt_deg": Quantity("°"),
+    "pose_heading_deg": Quantity("°"),
+    "pose_motion": Quantity(""),
     "position_error_m": Quantity("m", ends_by=20.0),
     "velocity_error_m_s": Quantity("m/s"),
     "attitude_error_deg": Quantity("°"),
@@ -175,6 +179,15 @@ class SafetyLimits(SettingsModel):
     """An estimator reset; plan and fence are moved along with it, so that the vehicle is not kicked."""
     yaw_jump_deg: Ladder = Ladder(warn=(0.0, 0.0), hold=(20.0, 0.0), land=(60.0, 0.0))
     """The same for the heading."""
+    velocity_mismatch: Ladder = Ladder(warn=(0.8, 1.0), land=(1.3, 0.5))
+    """The autopilot's positions against its own velocities over 1 s: the displacements' difference over the longer of
+    them, once that is 1 m. 1 is one that stands still, 1.4 a turn by 90°, 2 an axis with the wrong sign."""
+    pose_tilt_deg: Ladder = Ladder(warn=(10.0, 0.5), land=(25.0, 0.5))
+    """Angle between the vertical of poses from outside and that of the autopilot's estimate; only where it uses them."""
+    pose_heading_deg: Ladder = Ladder(warn=(20.0, 0.5), land=(45.0, 0.5))
+    """The same for the heading."""
+    pose_motion: Ladder = Ladder(warn=(0.5, 0.5), land=(0.8, 0.5))
+    """The same for the movement of the last second, measured as in `velocity_mismatch`, from 0.3 m on."""
     position_error_m: Ladder = Ladder(
         warn=(0.8, 0.5), non_adaptive=(1.0, 0.5), hold=(1.25, 0.5), land=(1.5, 0.5)
     )
@@ -205,8 +218,9 @@ class SafetyLimits(SettingsModel):
     """Share of the charge that is left (SYS_STATUS); unknown counts as full."""
     battery_voltage_v: Ladder = Ladder()
     """Voltage under load (SYS_STATUS); off, since it depends on the pack."""
-    round_trip_s: Ladder = Ladder(warn=(0.05, 2.0), freeze=(0.15, 2.0), land=(0.5, 3.0))
-    """TIMESYNC round trip, median of 32; in real time only."""
+    round_trip_s: Ladder = Ladder(warn=(0.05, 2.0), freeze=(0.1, 1.0), land=(0.15, 1.0))
+    """TIMESYNC round trip, median of 32; on the autopilot's clock where that does not run like ours. Setpoints that act
+    0.1 s late make the shipped gains swing, and 0.15 s tip a vehicle over."""
     link_loss: Ladder = Ladder(warn=(0.02, 1.0), freeze=(0.2, 1.0), land=(0.5, 3.0))
     """Share of the autopilot's frames of the last 2 s that never came, by sequence numbers."""
     overrun_share: Ladder = Ladder(warn=(0.05, 1.0), freeze=(0.3, 1.0), land=(0.8, 2.0))

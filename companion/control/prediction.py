@@ -160,9 +160,8 @@ class Predictor:
         self._ring = np.zeros((RING, ROW))
         self._count = 0
         self._mass = profile.mass_estimate_kg
-        self.link_delay_s = (
-            0.0  # one way to the autopilot, s, as measured; 0 where it is within the dead time
-        )
+        self.link_delay_s = 0.0
+        """What the link takes beyond what is within the dead time, from a state's stamp to its setpoint's arrival, s."""
         self._warm_up()
 
     @property

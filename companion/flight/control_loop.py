@@ -34,14 +34,23 @@ from companion.flight.recorder import Recorder
 from companion.flight.setpoint_gate import SetpointGate
 from companion.flight.supervisor import Judgement, Sight, Supervisor, tilt_of
 from companion.flight.vehicle import Vehicle
-from companion.mavlink.link import Message
+from companion.mavlink.link import Message, mav
+from companion.mavlink.stream_timing import StreamFigures
+from companion.mavlink.timesync import TimeSync
 from companion.reference.transit import TransitLimits
 
 LONGEST_STEP = 5.0  # control periods; after a longer gap the law steps this far only
 ABSENT_AFTER = 5.0  # control periods without a state from which on the supervisor is asked without one
+SUNK_M = 1.0  # at lift-off; the rotors' wind takes a barometer down by less
 RESTART_S = 1.0  # a clock that steps back further was started anew
 OVERRUN_WINDOW_S = 1.0
 _NO_JUMP: Vector = np.zeros(3)
+LINK_INCLUDED_S = 0.01
+"""Of the way from an attitude's stamp to its setpoint's arrival: in the profile's dead times."""
+LONGEST_LINK_S = 0.1
+"""Beyond that nothing is predicted: the setpoints remembered end, and `round_trip_s` ends the flight."""
+LINK_SHARE = 0.3  # of what is newly measured, each second: a jitter of the clocks is not flown after
+ATTITUDE_STREAM: int = mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION
 
 
 class Activity(enum.Enum):
@@ -109,6 +118,7 @@ class ControlLoop:
         self._last_wall_ns = 0
         self._level_quaternion: Vector = np.array([1.0, 0.0, 0.0, 0.0])
         self._lift_off_started_s = 0.0
+        self._lift_off_from_m = math.nan
         self._flags = 0
         self._velocity_time_s = -math.inf
         self.period_s = 1.0 / settings.rate_hz
@@ -140,6 +150,20 @@ class ControlLoop:
         return state.time_s - self._plan_started_s if state is not None else 0.0
 
     # Changing over --------------------------------------------------------------------------------------
+
+    def note_link(self, streams: list[StreamFigures], timesync: TimeSync) -> None:
+        """Let the prediction reach as much further as this link is slower than the one the dead times were found on.
+
+        A setpoint leaves when an attitude arrives, so the way from the attitude's stamp to the autopilot is the
+        stream's own age and half a round trip. The profile's dead times have a quick link in them already. Of a
+        simulation that does not run in real time, the round trip by its own clock says the same.
+        """
+        age_s = next((f.age_s for f in streams if f.message_id == ATTITUDE_STREAM), math.nan)
+        real_time = self._watching is not None and self._watching.real_time
+        way_s = age_s + 0.5 * timesync.round_trip_s if real_time else timesync.autopilot_trip_s
+        if math.isfinite(way_s):
+            beyond_s = min(max(0.0, way_s - LINK_INCLUDED_S), LONGEST_LINK_S)
+            self._predictor.link_delay_s += LINK_SHARE * (beyond_s - self._predictor.link_delay_s)
 
     def idle(self, quaternion_wxyz: Vector) -> None:
         """Send idle setpoints that keep the heading of `quaternion_wxyz` (4,) level."""
@@ -284,6 +308,14 @@ class ControlLoop:
         tilt_deg = math.degrees(tilt_of(state.quaternion_wxyz))
         if not tilt_deg <= limit_deg:
             raise Aborted(f"tipping over at lift-off: tilt {tilt_deg:.0f}°, limit {limit_deg:g}°")
+        height_m = float(state.position_enu[2])
+        if math.isnan(self._lift_off_from_m):
+            self._lift_off_from_m = height_m
+        if height_m < self._lift_off_from_m - SUNK_M:
+            raise Aborted(
+                f"the estimate sinks into the ground at lift-off, by {self._lift_off_from_m - height_m:.1f} m: "
+                "is its height upside down (poses from outside), or its barometer in the rotors' wind?"
+            )
         reference = at_rest(state.position_enu, yaw_of(self._level_quaternion))
         judgement = self._judge(state, reference, gap_s, age_s, lifting_off=True)
         if judgement.reaction >= Reaction.HOLD:
@@ -311,6 +343,7 @@ class ControlLoop:
         jump, self._jump_enu = self._jump_enu, None
         if jump is not None:
             watching.supervisor.move_home(jump)
+            self._vehicle.poses.estimate_jumped()
         if watching.real_time:
             late_s = self._vehicle.link.timesync.lateness_s(state.time_s, time.monotonic())
             gap_s = max(gap_s, late_s) if math.isfinite(late_s) else gap_s
@@ -326,6 +359,7 @@ class ControlLoop:
             refused_setpoints=self._refused,
             setpoint_gap_s=state.time_s - self._last_sent_s,
             overrun_share=self._overrun_share,
+            poses=self._vehicle.pose_figures(state.time_s),
         )
         return watching.supervisor.judge(state, sight, lifting_off)
 

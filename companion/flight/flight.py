@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from companion.autopilot.adapter import ARM, DISARM, STOP_MOTORS, Finding, Intent
+from companion.autopilot.adapter import ARM, Finding, Intent
 from companion.config.errors import UserError
 from companion.config.settings import FlightSettings
-from companion.control.structs import ControlLevel, Reference
+from companion.control.structs import Reference
 from companion.flight.control_loop import ControlLoop, Watching, at_rest, level_with_heading, yaw_of
+from companion.flight.descent import Descent
 from companion.flight.fence import require_inside
+from companion.flight.journal import Journal
+from companion.flight.lift_off import LiftOffDetector
 from companion.flight.outcome import (
     Aborted,
     FlightEnd,
     HandedBack,
     Interrupted,
-    LeftFlying,
-    LinkLost,
-    MotorsStopped,
     Outcome,
     PilotTookOver,
     Refused,
@@ -35,15 +34,13 @@ from companion.flight.preflight import Preflight, require
 from companion.flight.realtime import LoopWatchdog
 from companion.flight.recorder import Recorder
 from companion.flight.reporter import Reporter
+from companion.flight.stage import FlightRequest, FlightResult, Interrupts, Stage
 from companion.flight.supervisor import Supervisor, law_bounds
 from companion.flight.vehicle import Vehicle
 from companion.mavlink.link import Message, mav
-from companion.reference.trajectory import Frame, Placed, Trajectory, place
+from companion.reference.trajectory import Placed, place
 from companion.reference.transit import TransitLimits
 
-_PROGRESS_S = 1.0
-_STATUSTEXT: int = mav.MAVLINK_MSG_ID_STATUSTEXT
-_COMMAND_ACK: int = mav.MAVLINK_MSG_ID_COMMAND_ACK
 _RC_CHANNELS: int = mav.MAVLINK_MSG_ID_RC_CHANNELS
 _STANDING = (
     Phase.PROVE,
@@ -52,45 +49,6 @@ _STANDING = (
 )  # idle setpoints go out, which must never meet a flying vehicle
 _FLYING = (mav.MAV_LANDED_STATE_IN_AIR, mav.MAV_LANDED_STATE_TAKEOFF)
 REAL_TIME_TOLERANCE = 0.02  # of the time passed: a lockstep simulation runs at any other speed
-_DISARM_TIMEOUT_S = 1.5  # until HEARTBEAT shows what a COMMAND_ACK has said
-
-
-@dataclass(frozen=True, slots=True)
-class FlightRequest:
-    """What is asked of a flight."""
-
-    level: ControlLevel
-    trajectory: Trajectory  # in its own axes
-    frame: Frame
-    duration_s: float  # of tracking
-    may_arm: bool  # whether we may arm a vehicle that is not a simulation
-    fix: bool  # whether parameters that stand in the way may be set for the flight
-    wait_for_offboard: bool  # whether the mode switch is the pilot's
-
-
-@dataclass(frozen=True, slots=True)
-class FlightResult:
-    """How it ended."""
-
-    outcome: Outcome
-    text: str
-
-
-class Interrupts:
-    """Counts requests to stop (Ctrl-C, SIGTERM); set from a signal handler, read by the flight."""
-
-    ONE_WISH_S = 0.5
-    """Signals closer than this are one wish: `timeout` and some terminals send theirs twice."""
-
-    def __init__(self) -> None:
-        self.count = 0
-        self._last_s = -math.inf
-
-    def ask(self, now_s: float) -> None:
-        """Note a request made at `now_s` (any clock)."""
-        if now_s - self._last_s > self.ONE_WISH_S:
-            self.count += 1
-        self._last_s = now_s
 
 
 class Flight:
@@ -118,20 +76,15 @@ class Flight:
         self._make_loop = make_loop
         self._check_plan = check_plan
         self._loop: ControlLoop
-        self._plan: FlightPlan | None = None
-        self._engaged = False  # our mode was confirmed and we count on it
-        self._airborne = False
+        self._stage = Stage(vehicle, recorder, reporter)
+        self._descent = Descent(self._stage, settings)
+        self._journal = Journal(self._stage, settings.procedure.connect_timeout_s)
         self._armed_by_now = False  # we count on it
         self._pilot = Pilot(settings.safety.stick_share)
-        self._supervisor: Supervisor | None = None
         self._watchdog = LoopWatchdog(settings.safety.stall_s, self._note_stall)
         self._real_time = False
         self._clocks_s = (0.0, 0.0)  # the autopilot's and ours, when it was ready
         self._answered_interrupts = 0
-        self._announced_mode = -1
-        self._announced_armed = False
-        self._next_progress_s = -math.inf
-        self.phase = Phase.CONNECT
 
     def run(self) -> FlightResult:
         """Fly. Always ends with the vehicle in the safest state that could be reached.
@@ -141,23 +94,25 @@ class Flight:
         """
         self._vehicle.watch = self._watch
         try:
-            self._enter(Phase.CONNECT)
-            self._vehicle.connect(self._settings.procedure.connect_timeout_s)
+            self._stage.enter(Phase.CONNECT)
+            self._vehicle.connect(self._settings.procedure.connect_timeout_s, self._journal.waiting)
             self._vehicle.on_message = self._on_message
             self._prepare()
             self._take_off()
             self._follow_plan()
-            self._land("the plan is flown")
-            result = FlightResult(Outcome.COMPLETED, "flown as planned, landed and disarmed")
+            how = self._descent.land("the plan is flown")
+            result = FlightResult(Outcome.COMPLETED, f"flown as planned, {how}")
         except FlightEnd as end:
-            result = self._end_safely(end)
+            result = self._descent.end_safely(end)
         except WaitedTooLong as waited:
-            result = self._end_safely(Aborted(str(waited)) if self._engaged else Refused(str(waited)))
+            result = self._descent.end_safely(
+                Aborted(str(waited)) if self._stage.engaged else Refused(str(waited))
+            )
         except UserError as error:
-            self._write_down(self._end_safely(Refused(str(error))))
+            self._write_down(self._descent.end_safely(Refused(str(error))))
             raise
         except Exception as error:  # a mistake of ours must not leave a vehicle in the air
-            self._write_down(self._end_safely(Aborted(f"mistake in this program: {error!r}")))
+            self._write_down(self._descent.end_safely(Aborted(f"mistake in this program: {error!r}")))
             raise
         return self._write_down(result)
 
@@ -176,11 +131,11 @@ class Flight:
         vehicle, reporter = self._vehicle, self._reporter
         version = ".".join(map(str, vehicle.version))
         reporter.say(f"{vehicle.adapter.name} {version}, system {vehicle.link.target_system}")
-        self._enter(Phase.CHECK)
+        self._stage.enter(Phase.CHECK)
         checks = self._preflight
         checks.ask_for_streams()
         findings = checks.parameter_findings()
-        self._loop = self._make_loop(vehicle)
+        self._loop = self._stage.loop = self._make_loop(vehicle)
         if self._request.fix:
             findings = checks.fix(findings, "for this flight")
             for name, before, value in checks.changed:
@@ -188,7 +143,7 @@ class Flight:
                     "parameter", vehicle.link.autopilot_time_s, name=name, before=before, value=value
                 )
         self._report(findings)
-        self._enter(Phase.READY)
+        self._stage.enter(Phase.READY)
         vehicle.on_state = self._loop.on_state
         waited_s = checks.wait_until_ready()
         reporter.say(f"ready after {waited_s:.1f} s")
@@ -205,36 +160,38 @@ class Flight:
     def _take_off(self) -> None:
         vehicle, settings, loop = self._vehicle, self._settings, self._loop
         ground = self._ground()
-        self._plan = self._lay_out(ground)
-        self._check_plan(self._plan, float(ground.position_enu[2]))
-        require_inside(settings.safety, self._plan, ground.position_enu)
+        self._stage.ground_m = float(ground.position_enu[2])
+        self._stage.plan = self._lay_out(ground)
+        self._check_plan(self._stage.plan, float(ground.position_enu[2]))
+        require_inside(settings.safety, self._stage.plan, ground.position_enu)
         level = level_with_heading(ground.yaw_rad)
-        self._enter(Phase.PROVE)
+        self._stage.enter(Phase.PROVE)
         loop.idle(level)
         started_s = vehicle.link.autopilot_time_s
         vehicle.until(lambda: vehicle.link.autopilot_time_s - started_s >= settings.procedure.prove_s)
-        self._enter(Phase.ENGAGE)
+        self._stage.enter(Phase.ENGAGE)
         self._engage()
-        self._enter(Phase.ARM)
+        self._stage.enter(Phase.ARM)
         self._arm()
         ground = self._ground()
         plan = self._lay_out(
             ground
         )  # milliseconds, so on the ground: at lift-off only its climb is planned anew
         self._announce(plan)
-        self._enter(Phase.LIFT_OFF)
+        self._stage.enter(Phase.LIFT_OFF)
         assert vehicle.state is not None
         loop.idle(level_with_heading(ground.yaw_rad))
         loop.lift_off(vehicle.state.time_s, vehicle.adapter.spool_time_s, self._watch_over(ground))
-        vehicle.until(lambda: self._left(ground), vehicle.adapter.spool_time_s + 15.0, "lift-off")
-        self._airborne = True
+        detector = LiftOffDetector(settings.procedure)
+        vehicle.until(lambda: self._left(detector), vehicle.adapter.spool_time_s + 15.0, "lift-off")
+        self._stage.airborne = True
         state = vehicle.state
         rising = np.array([0.0, 0.0, max(0.0, float(state.velocity_enu[2]))])
         start = replace(at_rest(state.position_enu, ground.yaw_rad), velocity_enu=rising)
-        self._plan = plan.climbing_from(start, self._transit_limits(float(ground.position_enu[2])))
-        loop.follow(self._plan, state)
+        self._stage.plan = plan.climbing_from(start, self._transit_limits(float(ground.position_enu[2])))
+        loop.follow(self._stage.plan, state)
         self._reporter.say(
-            f"off the ground at thrust {loop.lift_off_thrust:.2f}; flying {self._plan.duration_s:.0f} s"
+            f"off the ground at thrust {loop.lift_off_thrust:.2f}; flying {self._stage.plan.duration_s:.0f} s"
         )
 
     def _announce(self, plan: FlightPlan) -> None:
@@ -262,7 +219,7 @@ class Flight:
         apart_s = abs(autopilot_s - ours_s)
         self._real_time = link.timesync.steady and apart_s < 0.05 + REAL_TIME_TOLERANCE * ours_s
         self._recorder.log.metadata("wall clock", {"real_time": str(self._real_time)})
-        self._supervisor = Supervisor(
+        supervisor = self._journal.supervisor = Supervisor(
             settings.safety,
             law_bounds(self._loop.law),
             ground.position_enu,
@@ -273,7 +230,7 @@ class Flight:
         if self._real_time:
             self._watchdog.start()
         return Watching(
-            self._supervisor,
+            supervisor,
             self._watchdog,
             self._transit_limits(float(ground.position_enu[2])),
             self._real_time,
@@ -291,14 +248,11 @@ class Flight:
         assert state is not None
         return at_rest(state.position_enu, yaw_of(state.quaternion_wxyz))
 
-    def _left(self, ground: Reference) -> bool:
-        state, settings = self._vehicle.state, self._settings
+    def _left(self, detector: LiftOffDetector) -> bool:
+        state, loop = self._vehicle.state, self._loop
         assert state is not None
-        height_m = float(state.position_enu[2] - ground.position_enu[2])
-        rising = float(state.velocity_enu[2]) > settings.procedure.lift_off_speed_m_s
-        return (
-            height_m > settings.procedure.lift_off_height_m and rising
-        ) or height_m > 3.0 * settings.procedure.lift_off_height_m
+        height_m, speed_m_s = float(state.position_enu[2]), float(state.velocity_enu[2])
+        return detector.has_left(state.time_s, height_m, speed_m_s, loop.lift_off_thrust / loop.hover_thrust)
 
     def _lay_out(self, ground: Reference) -> FlightPlan:
         settings, request = self._settings, self._request
@@ -344,7 +298,7 @@ class Flight:
                     f"the autopilot did not change to our mode ({vehicle.result_word(result)}; it is in "
                     f"{vehicle.adapter.mode_name(vehicle.status.custom_mode)})" + self._vehicle.last_texts()
                 )
-        self._engaged = True
+        self._stage.engaged = True
         self._pilot.sticks_are_at_rest()
 
     def _arm(self) -> None:
@@ -373,10 +327,10 @@ class Flight:
     # In the air ----------------------------------------------------------------------------------------
 
     def _follow_plan(self) -> None:
-        assert self._plan is not None
-        loop, plan = self._loop, self._plan
+        assert self._stage.plan is not None
+        loop, plan = self._loop, self._stage.plan
         for leg in plan.legs:
-            self._enter(leg.phase)
+            self._stage.enter(leg.phase)
             tracking = leg.phase is Phase.TRACK
             if tracking:
                 self._recorder.log.event("tracking", self._vehicle.link.autopilot_time_s, active=True)
@@ -385,43 +339,9 @@ class Flight:
             if tracking:
                 self._recorder.log.event("tracking", self._vehicle.link.autopilot_time_s, active=False)
             if loop.held:
-                self._enter(Phase.HOLD)
+                self._stage.enter(Phase.HOLD)
                 self._reporter.say(f"holding: {loop.held}")
                 self._vehicle.until(lambda: False)  # until the supervisor, the pilot or the user ends it
-
-    def _land(self, why: str) -> None:
-        """Let the autopilot land and wait until it has disarmed."""
-        vehicle = self._vehicle
-        self._enter(Phase.LAND)
-        self._reporter.say(f"landing: {why}")
-        self._engaged = False
-        result: int | None = None
-        for _ in range(3):
-            result = vehicle.command(vehicle.adapter.mode(Intent.LAND), enough=self._not_ours)
-            try:
-                vehicle.until(self._not_ours, 2.5)
-                break
-            except WaitedTooLong:
-                continue
-        else:
-            raise LeftFlying(
-                f"the autopilot did not take LAND ({vehicle.result_word(result)}); our setpoints stop, "
-                "so its own offboard-loss action brings it down" + self._vehicle.last_texts()
-            )
-        self._loop.stop()
-        timeout_s = self._settings.procedure.land_timeout_s
-        try:
-            vehicle.until(lambda: not vehicle.status.armed, timeout_s, "landing")
-        except WaitedTooLong:
-            raise LeftFlying(
-                f"still armed {timeout_s:.0f} s after LAND; it is in "
-                f"{vehicle.adapter.mode_name(vehicle.status.custom_mode)} and flies without us"
-            ) from None
-        self._enter(Phase.DONE)
-
-    def _not_ours(self) -> bool:
-        status = self._vehicle.status
-        return not self._vehicle.adapter.is_mode(status.custom_mode, Intent.EXTERNAL) or not status.armed
 
     # Watching ------------------------------------------------------------------------------------------
 
@@ -434,15 +354,15 @@ class Flight:
                 raise HandedBack("interrupted again: handed back to the autopilot at once")
             raise Interrupted("by Ctrl-C or SIGTERM")
         vehicle = self._vehicle
-        if self.phase in _STANDING and vehicle.status.landed_state in _FLYING:
-            if self._engaged:
+        if self._stage.phase in _STANDING and vehicle.status.landed_state in _FLYING:
+            if self._stage.engaged:
                 raise HandedBack(
                     "the vehicle was in the air when our mode began, and idle setpoints let it fall"
                 )
             raise Refused(
                 "the vehicle is flying; a flight begins on the ground, with --wait-for-offboard too"
             )
-        if not self._engaged:
+        if not self._stage.engaged:
             return
         if not vehicle.adapter.is_mode(vehicle.status.custom_mode, Intent.EXTERNAL):
             raise PilotTookOver(
@@ -450,7 +370,7 @@ class Flight:
                 "the pilot's wish, or the autopilot's own failsafe"
             )
         if self._armed_by_now and not vehicle.status.armed:
-            raise PilotTookOver("disarmed in flight" if self._airborne else "disarmed")
+            raise PilotTookOver("disarmed in flight" if self._stage.airborne else "disarmed")
         if moved := self._pilot.moved_sticks():
             raise PilotTookOver(f"sticks moved: {moved}")
         if self._watchdog.tripped:
@@ -462,143 +382,11 @@ class Flight:
         self._loop.check_absence()
 
     def _on_message(self, message: Message) -> None:
-        vehicle, log = self._vehicle, self._recorder.log
-        now_s = vehicle.link.autopilot_time_s
-        kind = message.get_msgId()
-        if kind == vehicle.adapter.truth_message_id:
-            self._recorder.truth(message, vehicle.status, now_s)
-        elif kind == _STATUSTEXT:
-            log.event("status_text", now_s, severity=message.severity, text=str(message.text))
-            if message.severity <= mav.MAV_SEVERITY_WARNING:
-                self._reporter.say(f"autopilot: {message.text}")
-        elif kind == _COMMAND_ACK:
-            log.event("ack", now_s, command=message.command, result=message.result)
-        elif kind == _RC_CHANNELS:
+        if message.get_msgId() == _RC_CHANNELS:
             self._pilot.take(message)
-        status = vehicle.status
-        if status.custom_mode != self._announced_mode:
-            self._announced_mode = status.custom_mode
-            log.event("mode", now_s, mode=vehicle.adapter.mode_name(status.custom_mode))
-        if status.armed != self._announced_armed:
-            self._announced_armed = status.armed
-            log.event("armed", now_s, armed=status.armed)
-        if now_s >= self._next_progress_s:
-            self._next_progress_s = now_s + _PROGRESS_S
-            self._report_progress()
+        self._journal.take(message)
 
-    def _report_progress(self) -> None:
-        vehicle, plan = self._vehicle, self._plan
-        if self._airborne and plan is not None and self._engaged:
-            error_m = float(np.linalg.norm(self._loop.position_error_enu))
-            time_s = self._loop.plan_time_s
-            self._reporter.progress(self.phase, time_s, plan.duration_s, f"error {error_m * 100:.1f} cm")
-        if self._supervisor is not None:
-            self._supervisor.log_health = log_health = self._recorder.log.health
-            assert log_health is not None
-        timesync = vehicle.link.timesync
-        if hasattr(self, "_loop"):
-            self._recorder.estimates(
-                vehicle.link.autopilot_time_s,
-                self._loop.hover_thrust,
-                timesync.offset_s,
-                timesync.round_trip_s,
-                self._loop.state_delay_s,
-                vehicle.status,
-            )
-
-    def _enter(self, phase: Phase) -> None:
-        self.phase = phase
-        self._recorder.log.event("phase", self._vehicle.link.autopilot_time_s, phase=phase.value)
-        self._reporter.progress(phase, math.nan, math.nan, "")
-
-    # Ending early ---------------------------------------------------------------------------------------
-
-    def _end_safely(self, end: FlightEnd) -> FlightResult:
-        """Bring the vehicle into the safest state that `end` allows, and say how it went."""
-        self._recorder.log.event(
-            "safety", self._vehicle.link.autopilot_time_s, reaction=end.outcome.value, reason=str(end)
-        )
-        try:
-            return self._bring_down(end)
-        except FlightEnd as another:
-            if isinstance(another, HandedBack):
-                self._hand_back()
-            return FlightResult(another.outcome, f"{end}; then {another}")
-        except WaitedTooLong as waited:
-            return FlightResult(end.outcome, f"{end}; then {waited}")
-
-    def _bring_down(self, end: FlightEnd) -> FlightResult:
-        engaged, self._engaged = self._engaged, False
-        if isinstance(end, Refused) or (
-            not self._airborne and not isinstance(end, (LinkLost, PilotTookOver))
-        ):
-            return self._stay_down(end, engaged)
-        if isinstance(end, (Interrupted, Aborted)):
-            if isinstance(end, Aborted):
-                self._loop.stop()
-            self._land_whatever(str(end))
-            return FlightResult(end.outcome, f"{end}; landed and disarmed")
-        if hasattr(self, "_loop"):
-            self._loop.stop()
-        if isinstance(end, MotorsStopped):
-            return self._stop_motors(end)
-        if isinstance(end, PilotTookOver):
-            if vehicle_is_ours(self._vehicle):  # sticks that do not change the mode by themselves
-                self._vehicle.commands.send(self._vehicle.adapter.mode(Intent.HOLD))
-            self._enter(Phase.WATCH)
-            self._reporter.say(f"{end.outcome.value}: {end}")
-            self._reporter.say("no more setpoints; logging until the vehicle is disarmed (Ctrl-C ends it)")
-            vehicle = self._vehicle
-            try:
-                vehicle.until(lambda: not vehicle.status.armed)
-            except (Interrupted, HandedBack, LinkLost):
-                return FlightResult(end.outcome, f"{end}; not watched to the end")
-            return FlightResult(end.outcome, f"{end}; disarmed later")
-        if isinstance(end, HandedBack):
-            self._hand_back()
-        return FlightResult(end.outcome, str(end))
-
-    def _land_whatever(self, why: str) -> None:
-        """Land; a first wish to stop is what is being done already, a second one ends it."""
-        try:
-            self._land(why)
-        except Interrupted:
-            self._land(why)
-
-    def _stay_down(self, end: FlightEnd, engaged: bool) -> FlightResult:
-        """On the ground, as far as we know: disarm, leave our mode. What will not disarm has left the ground: land."""
-        vehicle = self._vehicle
-        if hasattr(self, "_loop"):
-            self._loop.stop()
-        if not engaged:
-            return FlightResult(end.outcome, str(end))
-        vehicle.command(DISARM)  # armed or not: our ARM may be under way still
-        try:
-            vehicle.until(lambda: not vehicle.status.armed, _DISARM_TIMEOUT_S)
-        except WaitedTooLong:
-            self._land_whatever(str(end))
-            return FlightResult(end.outcome, f"{end}; landed and disarmed")
-        vehicle.command(vehicle.adapter.mode(Intent.HOLD))
-        return FlightResult(end.outcome, str(end))
-
-    def _stop_motors(self, end: FlightEnd) -> FlightResult:
-        """Disarm in the air, which takes the autopilots' magic number; hand back where that is refused."""
-        vehicle = self._vehicle
-        result = vehicle.command(STOP_MOTORS)
-        try:
-            vehicle.until(lambda: not vehicle.status.armed, _DISARM_TIMEOUT_S)
-        except WaitedTooLong:
-            self._hand_back()
-            return FlightResult(
-                Outcome.HANDED_BACK, f"{end}; the autopilot would not disarm ({vehicle.result_word(result)})"
-            )
-        return FlightResult(end.outcome, f"{end}; motors stopped")
-
-    def _hand_back(self) -> None:
-        """One HOLD command, no waiting: what follows is the autopilot's."""
-        if hasattr(self, "_loop"):
-            self._loop.stop()
-        self._vehicle.commands.send(self._vehicle.adapter.mode(Intent.HOLD))
+    # Afterwards ------------------------------------------------------------------------------------------
 
     def _put_parameters_back(self, result: FlightResult) -> None:
         if (
@@ -612,8 +400,3 @@ class Flight:
                     self._reporter.say(f"put {name} back to {value:g}")
                 else:
                     self._reporter.say(f"warning: could not put {name} back to {value:g}; do it by hand")
-
-
-def vehicle_is_ours(vehicle: Vehicle) -> bool:
-    """Whether the autopilot is still in the mode in which it follows our setpoints."""
-    return vehicle.adapter.is_mode(vehicle.status.custom_mode, Intent.EXTERNAL)

@@ -5,6 +5,7 @@ Nothing is changed but message rates, which the autopilot forgets at its next st
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass
 
@@ -13,18 +14,25 @@ from companion.config.procedure import Procedure
 from companion.config.profile import VehicleProfile
 from companion.control.structs import ControlLevel
 from companion.flight.outcome import Refused, WaitedTooLong
+from companion.flight.pose_findings import pose_findings
 from companion.flight.reporter import Reporter
+from companion.flight.supervisor import tilt_of
 from companion.flight.vehicle import Vehicle
 from companion.mavlink.bandwidth import POSITION_RATE_HZ, spare_rate
+from companion.mavlink.frames import angle_between, attitude_from_euler_ned
 from companion.mavlink.link import Message, mav
 from companion.mavlink.protocol import message_interval, request_message
+from companion.mavlink.stream_timing import STATE_STREAMS, StreamFigures, in_words
 
 MEASURE_S = 1.0
 _SHARE_WARNED = 0.8  # of a stream's rate asked for
-_ROUND_TRIP_WARNED_S, _ROUND_TRIP_REFUSED_S = 0.05, 0.25
+_ROUND_TRIP_WARNED_S, _ROUND_TRIP_REFUSED_S = 0.05, 0.15
+_AGE_WARNED_S = 0.05  # of a stream's 95 %
 _LOSS_WARNED, _LOSS_REFUSED = 0.01, 0.2
 _BATTERY_WARNED, _BATTERY_REFUSED = 0.35, 0.15  # the flight itself ends at limits.battery_remaining
 _HOVER_MISMATCH = 0.25
+_STANDING_TILT_DEG = 30.0  # a lift-off is given up at flight.safety.lift_off_tilt_deg, 20° as it ships
+_APART_WARNED_DEG, _APART_REFUSED_DEG = 5.0, 20.0  # both are of one estimate, a few milliseconds apart
 
 GOOD_TO_HAVE_HZ = {
     mav.MAVLINK_MSG_ID_ATTITUDE_TARGET: 50.0,
@@ -43,9 +51,9 @@ class Measured:
 
     state_rate_hz: float
     position_rate_hz: float
-    round_trip_s: float  # nan where TIMESYNC was not answered
+    round_trip_s: float  # nan where TIMESYNC was not answered; a simulation's in its own time
     loss_ratio: float
-    steady_clock: bool  # the autopilot's clock runs as fast as ours: real time
+    streams: tuple[StreamFigures, ...]  # each one's rate, jitter and age
 
 
 class Preflight:
@@ -69,6 +77,7 @@ class Preflight:
         self._procedure = procedure
         self._profile = profile
         self._reporter = reporter
+        self._attitude: Message | None = None  # the newest ATTITUDE, where the autopilot sends it
         self.changed: list[tuple[str, float, float]] = []  # name, value before, value set
 
     def ask_for_streams(self) -> None:
@@ -98,6 +107,9 @@ class Preflight:
         vehicle, profile = self._vehicle, self._profile
         vehicle.read_parameters(vehicle.adapter.parameters_needed())
         values = vehicle.parameters.values
+        if vehicle.outside_poses is not None:
+            vehicle.read_parameters(vehicle.adapter.pose_parameters)
+            vehicle.poses_are_used = vehicle.adapter.uses_poses(values)
         vehicle.adapter = vehicle.adapter.suited(values)
         findings = vehicle.adapter.check(values, self._level, vehicle.version)
         cut_deg, asked_deg = vehicle.adapter.tilt_limit_deg(values), profile.limits.tilt_max_deg
@@ -178,7 +190,10 @@ class Preflight:
         on_state, on_message = vehicle.on_state, vehicle.on_message
 
         def count(message: Message) -> None:
-            seen[message.get_msgId()] += 1
+            kind = message.get_msgId()
+            seen[kind] += 1
+            if kind == mav.MAVLINK_MSG_ID_ATTITUDE:
+                self._attitude = message
             on_message(message)
 
         vehicle.on_state, vehicle.on_message = lambda _: None, count
@@ -192,12 +207,13 @@ class Preflight:
         finally:
             vehicle.on_state, vehicle.on_message = on_state, on_message
         span_s = vehicle.link.autopilot_time_s - started_s
+        timesync = vehicle.link.timesync
         return Measured(
             seen[mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION] / span_s,
             seen[mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED] / span_s,
-            vehicle.link.timesync.round_trip_s,
+            timesync.round_trip_s if timesync.steady else timesync.autopilot_trip_s,
             vehicle.link.loss_ratio,
-            vehicle.link.timesync.steady,
+            tuple(vehicle.link.streams.figures()),
         )
 
     def link_findings(self, measured: Measured) -> list[Finding]:
@@ -223,7 +239,7 @@ class Preflight:
         trip_s = measured.round_trip_s
         known = trip_s == trip_s
         trip = _graded(
-            known and (trip_s < _ROUND_TRIP_WARNED_S or not measured.steady_clock),
+            known and trip_s < _ROUND_TRIP_WARNED_S,
             not known or trip_s < _ROUND_TRIP_REFUSED_S,
             "round trip",
             f"{trip_s * 1e3:.1f} ms" if known else "TIMESYNC not answered",
@@ -238,7 +254,23 @@ class Preflight:
             "counted by sequence numbers since connecting",
             "lower the rates, look at cable, antenna and baud rate",
         )
-        return [rate, position, trip, loss, *self._signing_findings()]
+        return [rate, position, *self._stream_findings(measured), trip, loss, *self._signing_findings()]
+
+    def _stream_findings(self, measured: Measured) -> list[Finding]:
+        """How old each stream is when it arrives. A flight reacts to lateness itself; here it is a line to read."""
+        return [
+            _graded(
+                not stream.age_95_s > _AGE_WARNED_S,
+                True,
+                f"delay of {stream.name}",
+                in_words(stream),
+                "the law sees the vehicle as it was then"
+                if stream.message_id in STATE_STREAMS
+                else "not used for control, so it only tells of the link",
+                "use a faster link, or lower the rates on this one (MAV_n_RATE, SRn_*)",
+            )
+            for stream in measured.streams
+        ]
 
     def _signing_findings(self) -> list[Finding]:
         link = self._vehicle.link
@@ -259,8 +291,8 @@ class Preflight:
 
     def vehicle_findings(self) -> list[Finding]:
         """Judge what the autopilot says of itself now: battery, estimator, pre-arm checks."""
-        status = self._vehicle.status
-        findings = []
+        vehicle, status = self._vehicle, self._vehicle.status
+        findings = self._own_messages()
         if status.battery_remaining is not None:
             findings.append(
                 _graded(
@@ -280,6 +312,40 @@ class Preflight:
                 Verdict.REFUSAL, "readiness", ", ".join(reasons), "it would not arm", "wait, or mend it"
             )
         )
+        if vehicle.outside_poses is not None:
+            figures = vehicle.poses.figures(vehicle.link.autopilot_time_s)
+            findings += pose_findings(vehicle.outside_poses, figures, vehicle.poses_are_used)
+        return findings
+
+    def _own_messages(self) -> list[Finding]:
+        """Whether the autopilot's own messages are of one attitude, and that one a vehicle's that stands on the ground."""
+        state, euler = self._vehicle.state, self._attitude
+        if state is None:
+            return []
+        tilt_deg = math.degrees(tilt_of(state.quaternion_wxyz))
+        findings = [
+            _graded(
+                tilt_deg <= _STANDING_TILT_DEG,
+                tilt_deg <= _STANDING_TILT_DEG,
+                "tilt on the ground",
+                f"{tilt_deg:.0f}°",
+                "no vehicle takes off like that: it has tipped over, or its attitude is in other axes",
+                "put it upright; else look at the autopilot's board orientation (SENS_BOARD_ROT, AHRS_ORIENTATION)",
+            )
+        ]
+        if euler is not None:
+            other = attitude_from_euler_ned(euler.roll, euler.pitch, euler.yaw)
+            apart_deg = math.degrees(angle_between(state.quaternion_wxyz, other))
+            findings.append(
+                _graded(
+                    apart_deg <= _APART_WARNED_DEG,
+                    apart_deg <= _APART_REFUSED_DEG,
+                    "attitude messages",
+                    f"ATTITUDE and ATTITUDE_QUATERNION are {apart_deg:.0f}° apart",
+                    "one of the two is in other axes, and the law flies by ATTITUDE_QUATERNION",
+                    "is a program between that changes messages? Connect to the autopilot itself",
+                )
+            )
         return findings
 
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import cast
+from dataclasses import dataclass, field, replace
+from typing import Any, cast
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from companion.autopilot.adapter import VehicleStatus
 from companion.config.safety import SafetyLimits
 from companion.control.packing import TERMS, Terms
 from companion.control.structs import Reference, Vector, VehicleState
+from companion.flight.one_world import PoseFigures
 from companion.flight.supervisor import Judgement, LawBounds, Sight, Supervisor
 from companion.flightlog.health import LogHealth
 from companion.mavlink.link import Link
@@ -39,6 +40,7 @@ FRAMES_A_STATE = 10
 @dataclass
 class _TimeSync:
     round_trip_s: float = 0.002
+    autopilot_trip_s: float = 0.01
 
 
 @dataclass
@@ -76,6 +78,8 @@ class Scene:
         self.attitude_age_s, self.position_age_s = PERIOD_S, 0.0
         self.jump: Vector = np.zeros(3)
         self.stuck_at_s: float | None = None
+        self.drift: Vector = np.zeros(3)  # of the position, which the velocity does not say
+        self.poses = PoseFigures(0.0, 0.0, 0.0, (1.0, 1.0), "")
         self.lost_share = 0.0
         self.overrun_share = self.setpoint_gap_s = 0.0
         self.refused = 0
@@ -94,7 +98,7 @@ class Scene:
         self.link.counters["lost"] += lost
         stuck = self.stuck_at_s is not None
         if not stuck:
-            self.position = self.position + seconds * self.velocity
+            self.position = self.position + seconds * (self.velocity + self.drift)
         position = self.position
         state = VehicleState(self.time_s, position, self.velocity, _attitude(self.tilt, self.yaw), self.rate)
         still = np.zeros(3)
@@ -120,6 +124,7 @@ class Scene:
             refused_setpoints=self.refused,
             setpoint_gap_s=self.setpoint_gap_s,
             overrun_share=self.overrun_share,
+            poses=self.poses,
         )
         self.jump = np.zeros(3)
         return self.supervisor.judge(state, sight)
@@ -175,6 +180,21 @@ def _turn(scene: Scene, value: float) -> None:
     scene.yaw += math.radians(max(value, 9.0))  # less is not told from a turn
 
 
+def _disagree(scene: Scene, value: float) -> None:
+    """2 m/s east, and positions as quick in another direction: 2 sin(angle / 2) is the difference of both."""
+    angle = 2.0 * math.asin(min(value, 2.0) / 2.0)
+    scene.velocity = np.array([2.0, 0.0, 0.0])
+    scene.drift = 2.0 * np.array([math.cos(angle), math.sin(angle), 0.0]) - scene.velocity
+
+
+def _poses(name: str) -> Provocation:
+    def provoke(scene: Scene, value: float) -> None:
+        changed: dict[str, Any] = {name: value}
+        scene.poses = replace(scene.poses, **changed)
+
+    return provoke
+
+
 def _tilt(scene: Scene, value: float) -> None:
     scene.tilt = scene.asked_tilt = math.radians(value)
 
@@ -221,6 +241,10 @@ PROVOCATIONS: dict[str, Provocation] = {
     "sensors_unhealthy": _status("sensors_unhealthy"),
     "position_jump_m": _jump,
     "yaw_jump_deg": _turn,
+    "velocity_mismatch": _disagree,
+    "pose_tilt_deg": _poses("tilt_deg"),
+    "pose_heading_deg": _poses("heading_deg"),
+    "pose_motion": _poses("motion"),
     "position_error_m": lambda scene, value: setattr(scene, "offset", np.array([0.0, value, 0.0])),
     "velocity_error_m_s": lambda scene, value: setattr(scene, "velocity_offset", np.array([0.0, 0.0, value])),
     "attitude_error_deg": lambda scene, value: setattr(scene, "asked_tilt", math.radians(value)),

@@ -11,6 +11,7 @@ import os
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 
 FIFO_PRIORITY = 50
 YOUNG_OBJECTS = 5000  # a pass over so many takes 0.3 ms
@@ -36,6 +37,15 @@ def prepare() -> list[str]:
         refused.append("memory not locked: this system has no mlockall")
     freeze_collector()
     return refused
+
+
+def restore() -> None:
+    """Take `prepare` back, for a process that goes on after its flight: neither it nor what it starts may starve others."""
+    with suppress(OSError, AttributeError):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).munlockall()
+    gc.unfreeze()
 
 
 def freeze_collector() -> None:

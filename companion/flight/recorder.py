@@ -14,6 +14,7 @@ from companion.flightlog.channels import (
     REFERENCE,
     SETPOINT,
     STATE,
+    STREAMS,
     TIMING,
     TRUTH,
 )
@@ -26,6 +27,7 @@ from companion.mavlink.frames import (
     quaternion_enu_flu_from_ned_frd,
 )
 from companion.mavlink.link import Message, mav
+from companion.mavlink.stream_timing import StreamFigures
 
 LEVEL_NUMBER = {ControlLevel.ATTITUDE: 0.0, ControlLevel.BODY_RATE: 1.0, ControlLevel.ACTUATOR: 2.0}
 
@@ -41,6 +43,7 @@ class Recorder:
         self._truth = log.define(TRUTH)
         self._timing = log.define(TIMING)
         self._estimates = log.define(ESTIMATES)
+        self._streams = log.define(STREAMS)
         self._latest_enu: Vector | None = None
         self._ground_place: tuple[float, float, float] | None = None
         self._ground_samples = 0
@@ -131,6 +134,13 @@ class Recorder:
             delay_s,
             math.nan if voltage is None else voltage,
         )
+
+    def streams(self, time_s: float, figures: list[StreamFigures]) -> None:
+        """How the autopilot's streams arrive."""
+        for f in figures:
+            self.log.record(
+                self._streams, time_s, float(f.message_id), f.rate_hz, f.jitter_s, f.age_s, f.age_95_s
+            )
 
     def truth(self, message: Message, status: VehicleStatus, now_s: float) -> None:
         """The simulator's true state (HIL_STATE_QUATERNION or SIM_STATE), in the autopilot's local frame.

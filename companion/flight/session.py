@@ -26,7 +26,7 @@ from companion.control.registry import build_law
 from companion.control.structs import Vector
 from companion.flight import realtime
 from companion.flight.control_loop import ControlLoop
-from companion.flight.flight import Flight, FlightRequest, FlightResult, Interrupts
+from companion.flight.flight import Flight
 from companion.flight.outcome import Refused
 from companion.flight.phases import Phase
 from companion.flight.plan import FlightPlan
@@ -34,6 +34,7 @@ from companion.flight.preflight import GOOD_TO_HAVE_HZ, Preflight
 from companion.flight.recorder import Recorder
 from companion.flight.reporter import Reporter
 from companion.flight.setpoint_gate import SetpointGate
+from companion.flight.stage import FlightRequest, FlightResult, Interrupts
 from companion.flight.vehicle import Vehicle
 from companion.flightlog.writer import FlightLog
 from companion.mavlink.bandwidth import LinePlan, describe, plan_line
@@ -42,7 +43,7 @@ from companion.mavlink.link import mav
 from companion.mavlink.outside_poses import DEFAULT_RATE_HZ, OutsidePoses
 from companion.reference.feasibility import VehicleLimits, check_feasibility
 from companion.reference.registry import trajectory_from_text
-from companion.reference.trajectory import Frame
+from companion.reference.trajectory import Frame, Trajectory
 
 _PACKAGES = ("dtlannc-companion", "numpy", "numba", "pymavlink", "mcap")
 
@@ -73,11 +74,24 @@ def fly(settings: Settings, options: SessionOptions, reporter: Reporter) -> Flig
     trajectory = trajectory_from_text(settings.flight.trajectory)
     _law(settings, None).warm_up()  # seconds, so before anybody is listening to us
     Predictor(settings.profile, settings.level)
-    if options.real_time:
-        for line in realtime.prepare():
-            reporter.say(line)
-    else:
-        realtime.freeze_collector()
+    try:
+        if options.real_time:
+            for line in realtime.prepare():
+                reporter.say(line)
+        else:
+            realtime.freeze_collector()
+        return _fly(settings, options, reporter, trajectory, plan)
+    finally:
+        realtime.restore()
+
+
+def _fly(
+    settings: Settings,
+    options: SessionOptions,
+    reporter: Reporter,
+    trajectory: Trajectory,
+    plan: LinePlan | None,
+) -> FlightResult:
     poses = OutsidePoses(options.outside_poses, options.pose_rate_hz) if options.outside_poses else None
     link = options.connection.open(reporter.say)
     try:
@@ -134,10 +148,15 @@ def fly(settings: Settings, options: SessionOptions, reporter: Reporter) -> Flig
 
 
 def check(
-    settings: Settings, connection: Connection, reporter: Reporter, fix: bool = False
+    settings: Settings,
+    connection: Connection,
+    reporter: Reporter,
+    fix: bool = False,
+    outside_poses: tuple[str, int] | None = None,
 ) -> tuple[list[Finding], list[tuple[str, float, float]]]:
     """Look at everything a flight with these settings depends on; change nothing, unless `fix`.
 
+    Poses that arrive at `outside_poses` (host, port) are forwarded meanwhile, as in a flight, and looked at, too.
     Returns the findings, and what was set for good: name, value before, value now.
 
     Raises:
@@ -145,9 +164,12 @@ def check(
         FlightEnd: the link broke off.
     """
     settings, plan = _fitted(settings, connection, reporter)
+    poses = OutsidePoses(outside_poses) if outside_poses else None
     link = connection.open(reporter.say)
     try:
         vehicle = Vehicle(link, settings.flight.safety.silence_s)
+        vehicle.outside_poses = poses
+        vehicle.on_notice = reporter.say
         vehicle.connect(settings.flight.procedure.connect_timeout_s)
         version = ".".join(map(str, vehicle.version))
         reporter.say(f"{vehicle.adapter.name} {version}, system {link.target_system}")
@@ -163,6 +185,8 @@ def check(
         return findings, preflight.changed
     finally:
         link.close()
+        if poses is not None:
+            poses.close()
 
 
 def _preflight(settings: Settings, vehicle: Vehicle, reporter: Reporter, plan: LinePlan | None) -> Preflight:

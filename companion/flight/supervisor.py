@@ -20,8 +20,10 @@ from companion.control.packing import LOOP_TERMS, TERMS, Terms
 from companion.control.structs import AdaptationGate, Reference, Vector, VehicleState
 from companion.flight.fence import horizontal_margin
 from companion.flight.ladder import START, Change, LadderState, hardest_by_quantity, rung_table, step
+from companion.flight.one_world import SELF_MOVED_M, PoseFigures, TwoPaths
 from companion.flightlog.health import LogHealth
 from companion.mavlink.link import Link, mav
+from companion.mavlink.state import JUMP_M
 
 SLOW_PERIOD_S = 0.1  # what changes slowly is measured this often
 LOG_PERIOD_S = 1.0
@@ -29,6 +31,7 @@ LOSS_WINDOW_S = 2.0
 YAW_JUMP_RAD = math.radians(8.0)  # more than the body rate explains, between two states
 LONGEST_JUMP_GAP_S = 0.1  # over a longer gap the body rate explains nothing
 LYAPUNOV_SHORT_S, LYAPUNOV_LONG_S, LYAPUNOV_FLOOR_J = 0.5, 5.0, 0.1
+LONGEST_POSITION_GAP_S = 0.3  # over a longer one the velocity says nothing of the position
 FLOOR_COUNTS_FROM_M = 0.2  # above the fence's least height
 MOVING_M_S = 0.2  # a position that moves this fast has to change
 LIFT_OFF_SKIPS = ("position_error_m", "velocity_error_m_s", "yaw_error_deg", "thrust_margin")
@@ -87,6 +90,7 @@ class Sight:
     refused_setpoints: int  # in a row
     setpoint_gap_s: float
     overrun_share: float
+    poses: PoseFigures | None = None  # from outside, where the estimator uses them
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,6 +131,10 @@ class Supervisor:
         self._before: tuple[float, float] | None = None  # time, yaw
         self._stuck: tuple[tuple[float, float, float], float] = ((0.0, 0.0, 0.0), -math.inf)
         self._stuck_since_s: float | None = None
+        self._paths = TwoPaths(SELF_MOVED_M)  # of the positions, and of the velocities' integral
+        self._integral: tuple[float, list[float], list[float], list[float]] | None = (
+            None  # time, position, velocity, its integral
+        )
         self._floor_counts = False
         self._lyapunov: tuple[float, float, float] | None = None  # time, short, long
         self.log_health: LogHealth | None = None
@@ -152,6 +160,7 @@ class Supervisor:
         values, time_s = self._values, state.time_s
         self._measure_ages(state, sight)
         yaw_jump_rad = self._measure_jumps(state, sight)
+        self._measure_frames(state, sight)
         self._measure_motion(state, sight)
         self._measure_law(time_s, sight)
         if time_s >= self._slow_due_s:
@@ -247,6 +256,29 @@ class Supervisor:
         )
         return jump_rad
 
+    def _measure_frames(self, state: VehicleState, sight: Sight) -> None:
+        """Whether positions and velocities, and poses from outside and the estimate, are of one world."""
+        values, poses = self._values, sight.poses
+        values[INDEX["pose_tilt_deg"]] = None if poses is None else poses.tilt_deg
+        values[INDEX["pose_heading_deg"]] = None if poses is None else abs(poses.heading_deg)
+        values[INDEX["pose_motion"]] = None if poses is None else poses.motion
+        time_s, before = sight.position_time_s, self._integral
+        if before is not None and 0.0 <= before[0] - time_s < LONGEST_POSITION_GAP_S:
+            return  # this one has been looked at
+        ahead_s, velocity = state.time_s - time_s, state.velocity_enu.tolist()
+        position = [p - ahead_s * v for p, v in zip(state.position_enu.tolist(), velocity, strict=True)]
+        integral = position
+        if before is not None:
+            half_s = 0.5 * (time_s - before[0])
+            step = [half_s * (v + w) for v, w in zip(velocity, before[2], strict=True)]
+            integral = [i + s for i, s in zip(before[3], step, strict=True)]
+            expected = [p + s for p, s in zip(before[1], step, strict=True)]
+            if not 0.0 < half_s < LONGEST_POSITION_GAP_S or math.dist(position, expected) > JUMP_M:
+                self._paths.clear()  # a reset of the estimate is no movement
+        self._integral = time_s, position, velocity, integral
+        self._paths.add(time_s, position, integral)
+        values[INDEX["velocity_mismatch"]] = self._paths.difference
+
     def _measure_motion(self, state: VehicleState, sight: Sight) -> None:
         values, reference = self._values, sight.reference
         x_m, y_m, z_m = state.position_enu.tolist()
@@ -304,9 +336,9 @@ class Supervisor:
         values[INDEX["sensors_unhealthy"]] = status.sensors_unhealthy
         values[INDEX["battery_remaining"]] = status.battery_remaining
         values[INDEX["battery_voltage_v"]] = status.battery_voltage_v
-        if self._real_time:
-            round_trip_s = self._link.timesync.round_trip_s
-            values[INDEX["round_trip_s"]] = None if math.isnan(round_trip_s) else round_trip_s
+        timesync = self._link.timesync
+        trip_s = timesync.round_trip_s if self._real_time else timesync.autopilot_trip_s
+        values[INDEX["round_trip_s"]] = None if math.isnan(trip_s) else trip_s
         counters, seen = self._link.counters, self._received
         seen.append((time_s, counters["received"], counters["lost"]))
         while seen[0][0] < time_s - LOSS_WINDOW_S:

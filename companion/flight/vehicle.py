@@ -14,9 +14,11 @@ from companion.autopilot.adapter import STATUS_MESSAGES, TRUTH_MESSAGES, Adapter
 from companion.autopilot.registry import adapter_for
 from companion.config.errors import UserError
 from companion.control.structs import VehicleState
+from companion.flight.one_world import PoseComparison, PoseFigures
 from companion.flight.outcome import LinkLost, WaitedTooLong
 from companion.mavlink.link import Link, Message, mav
 from companion.mavlink.outside_poses import OutsidePoses
+from companion.mavlink.pose_datagram import OutsidePose
 from companion.mavlink.protocol import (
     RESULT_WORDS,
     Command,
@@ -55,6 +57,8 @@ class Vehicle:
         self.watch: Callable[[], None] = lambda: None
         self.on_notice: Callable[[str], None] = lambda _: None
         self.outside_poses: OutsidePoses | None = None
+        self.poses = PoseComparison()
+        self.poses_are_used: bool | None = None  # by the estimator; None: not known
 
     # Waiting ----------------------------------------------------------------------------------------
 
@@ -89,6 +93,25 @@ class Vehicle:
                 if link.autopilot_time_s - started_s > timeout_s:
                     raise WaitedTooLong(f"{what or 'the autopilot'}: nothing after {timeout_s:.0f} s")
 
+    def disarmed_for(self, lasts_s: float) -> Callable[[], bool]:
+        """A condition for `until`: HEARTBEATs have said disarmed for `lasts_s` of the autopilot's time.
+
+        One alone may have been held up on its way, and tell of how it was before.
+        """
+        link, since_s, first = self.link, math.nan, self.link.heartbeat
+
+        def holds() -> bool:
+            nonlocal since_s, first
+            if self.status.armed:
+                since_s = math.nan
+                return False
+            if math.isnan(since_s):
+                since_s, first = link.autopilot_time_s, link.heartbeat
+            passed_s = abs(link.autopilot_time_s - since_s)  # a clock that starts again counts from there
+            return passed_s >= lasts_s and link.heartbeat is not first
+
+        return holds
+
     def _pass_notices(self) -> None:
         for text in self.link.take_notices():
             self.on_notice(text)
@@ -99,10 +122,21 @@ class Vehicle:
         return POLL_S if self.outside_poses is None else POSE_POLL_S
 
     def _forward_poses(self, poses: OutsidePoses) -> None:
+        poses.on_pose = self._compare_pose
         for message in poses.poll():
             self.link.send(message)
         while poses.notices:
             self.on_notice(poses.notices.popleft())
+
+    def pose_figures(self, now_s: float) -> PoseFigures | None:
+        """How poses from outside stand to the estimate; None where there are none, or the estimator uses none."""
+        if self.outside_poses is None or self.poses_are_used is False:
+            return None
+        return self.poses.figures(now_s)
+
+    def _compare_pose(self, pose: OutsidePose) -> None:
+        if self.state is not None:
+            self.poses.add(pose, self.state)
 
     def _handle(self, message: Message) -> None:
         kind = message.get_msgId()
@@ -127,22 +161,27 @@ class Vehicle:
 
     # Getting to know it -----------------------------------------------------------------------------
 
-    def connect(self, timeout_s: float) -> None:
+    def connect(self, timeout_s: float, waiting: Callable[[float], None] = lambda _: None) -> None:
         """Wait for an autopilot's HEARTBEAT, choose its adapter, ask what it is (AUTOPILOT_VERSION).
+
+        `waiting` is called with the time waited so far, s.
 
         Raises:
             UserError: nobody there, not an autopilot we know, not a multirotor.
         """
-        deadline = time.monotonic() + timeout_s
+        started_s = time.monotonic()
         while self.link.heartbeat is None:
+            waited_s = time.monotonic() - started_s
+            waiting(waited_s)
             self.watch()
             self._pass_notices()
             self.link.keep_alive()
             message = self.link.receive(POLL_S)
             if message is not None:
                 self._handle(message)
-            if time.monotonic() > deadline and self.link.heartbeat is None:
+            if waited_s > timeout_s and self.link.heartbeat is None:
                 raise UserError(self._why_nobody(timeout_s))
+        self._pass_notices()
         heartbeat = self.link.heartbeat
         self.adapter = adapter_for(heartbeat.autopilot, heartbeat.type)
         self.parameters.bytewise = self.adapter.bytewise_parameters
@@ -174,7 +213,9 @@ class Vehicle:
     def _why_nobody(self, timeout_s: float) -> str:
         counters = self.link.counters
         refused = self.link.refused
-        if refused:
+        if self.link.not_open:
+            heard = self.link.not_open
+        elif refused:
             heard = (
                 f"{sum(refused.values())} frames refused: not signed with this key "
                 f"({', '.join(f'{count} {reason}' for reason, count in refused.items())}); "

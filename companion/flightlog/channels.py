@@ -213,6 +213,19 @@ ESTIMATES = ChannelSpec(
 )
 """Slow estimates; NaN where there is none."""
 
+STREAMS = ChannelSpec(
+    "/streams",
+    (
+        FieldSpec("message_id", 1, "", "MAVLink's number of the message"),
+        FieldSpec("rate_hz", 1, "Hz", "by the messages' time stamps, over 2 s"),
+        FieldSpec("jitter_s", 1, "s", "mean difference of the way's duration from message to message"),
+        FieldSpec("age_s", 1, "s", "at arrival, by TIMESYNC, median"),
+        FieldSpec("age_95_s", 1, "s", "at arrival, 95 % are younger"),
+    ),
+    wall_clock=True,
+)
+"""How the autopilot's streams arrive, a record each and second; NaN where its clock does not run like ours."""
+
 
 def terms_channel(layout: Iterable[tuple[str, int, str]], topic: str = "/terms") -> ChannelSpec:
     """Return the channel for packed terms, from their layout of (name, width, unit); names as `packed_channel`."""

@@ -65,6 +65,26 @@ def quaternion_ned_frd_from_enu_flu(quaternion_wxyz: ArrayLike) -> Vector:
     return quaternion_enu_flu_from_ned_frd(quaternion_wxyz)
 
 
+def attitude_from_euler_ned(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Vector:
+    """(4,) attitude body FLU → ENU of ATTITUDE's angles: ZYX, body FRD in NED."""
+    cr, sr = math.cos(roll_rad / 2), math.sin(roll_rad / 2)
+    cp, sp = math.cos(pitch_rad / 2), math.sin(pitch_rad / 2)
+    cy, sy = math.cos(yaw_rad / 2), math.sin(yaw_rad / 2)
+    return quaternion_enu_flu_from_ned_frd(
+        [
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ]
+    )
+
+
+def angle_between(one_wxyz: Vector, other_wxyz: Vector) -> float:
+    """Angle of the rotation that leads from one attitude to the other, rad, 0 to π."""
+    return 2.0 * math.acos(min(1.0, abs(float(one_wxyz @ other_wxyz))))
+
+
 def yaw_enu_from_ned(yaw_ned_rad: float) -> float:
     """Heading clockwise from north → counter-clockwise from east, wrapped to [−π, π)."""
     return (math.pi / 2 - yaw_ned_rad + math.pi) % (2 * math.pi) - math.pi

@@ -27,6 +27,7 @@ class Layout:
         "plain",
         "size",
         "stamp_at",
+        "stamp_us_at",
         "unpack",
     )
 
@@ -47,6 +48,8 @@ class Layout:
         """Numbers only: no text whose end has to be found."""
         self.stamp_at = self._place_of(_STAMP, kind)
         """Where the time since boot stands in the payload (uint32, ms); -1 where there is none."""
+        self.stamp_us_at = self._place_of("time_usec", kind)
+        """The same of `time_usec` (uint64, µs)."""
 
     def _place_of(self, field: str, kind: Any) -> int:
         if field not in self.names:

@@ -7,6 +7,7 @@ companion, and nothing more; everything is done in the caller's thread, in the o
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -17,6 +18,7 @@ from companion.mavlink.layouts import mav as mav  # for whoever speaks over the 
 from companion.mavlink.packed import packed
 from companion.mavlink.received import Received, read
 from companion.mavlink.signing import FORGED, REPLAYED, UNSIGNED, Signer
+from companion.mavlink.stream_timing import STREAMS, StreamTiming
 from companion.mavlink.timesync import TimeSync
 from companion.mavlink.transport import Transport
 
@@ -31,6 +33,7 @@ _NOT_AUTOPILOTS = (mav.MAV_AUTOPILOT_INVALID,)
 REFUSAL_PERIOD_S = (
     0.1  # between answers to commands for us, so that who floods us with them cannot fill the wire
 )
+QUESTIONS_REMEMBERED = 32  # of TIMESYNC; at 10 Hz an answer may take 3 s
 _COMMANDS = (mav.MAVLINK_MSG_ID_COMMAND_LONG, mav.MAVLINK_MSG_ID_COMMAND_INT)
 _STAMPED_WITH_A_SETPOINT = (
     mav.MAVLINK_MSG_ID_ATTITUDE_TARGET,
@@ -69,6 +72,7 @@ class Link:
         self._last_refusal_ns = -(1 << 62)
         self._last_heartbeat_autopilot_s = -1e9
         self._last_timesync_autopilot_s = -1e9
+        self._asked_at: dict[int, float] = {}  # our TIMESYNC questions: our time (ns), the autopilot's (s)
         self._expected_sequence: int | None = None
         self._boot_time_s = 0.0
         self._clock_moved_ns = now_ns()
@@ -76,6 +80,7 @@ class Link:
         self.heartbeat: Message | None = None
         self.counters: Counter[str] = Counter()
         self.timesync = TimeSync()
+        self.streams = StreamTiming(self.timesync)
         self.last_message_ns = 0
 
     @property
@@ -163,7 +168,8 @@ class Link:
         kind = message.msg_id
         if kind == _TIMESYNC:
             if message.tc1 != 0:
-                self.timesync.add(message.ts1, message.tc1, self.last_message_ns)
+                asked_s = self._asked_at.get(message.ts1, math.nan)
+                self.timesync.add(message.ts1, message.tc1, self.last_message_ns, self._boot_time_s - asked_s)
                 return None
         elif kind == _HEARTBEAT:
             self.heartbeat = message
@@ -231,10 +237,17 @@ class Link:
         self._expected_sequence = (sequence + 1) % 256
 
     def _note_time(self, message: Received) -> None:
-        boot_ms = message.boot_ms
-        if boot_ms is None or message.msg_id in _STAMPED_WITH_A_SETPOINT:
+        boot_ms, measured = message.boot_ms, message.msg_id in STREAMS
+        if boot_ms is None:
+            stamp_us = message.time_us if measured else None
+            if stamp_us is not None:
+                self.streams.note(message.msg_id, stamp_us * 1e-6, self.last_message_ns)
+            return
+        if message.msg_id in _STAMPED_WITH_A_SETPOINT:
             return
         boot_s = boot_ms * 1e-3
+        if measured:
+            self.streams.note(message.msg_id, boot_s, self.last_message_ns)
         # Streams are stamped when sampled, so small steps back are normal; a large one is a reboot.
         if boot_s > self._boot_time_s or boot_s < self._boot_time_s - 5.0:
             if boot_s < self._boot_time_s - 5.0:
@@ -280,7 +293,15 @@ class Link:
             )
         if not alone and abs(self._boot_time_s - self._last_timesync_autopilot_s) >= 0.1:
             self._last_timesync_autopilot_s = self._boot_time_s
+            self._asked_at[now_ns] = self._boot_time_s
+            while len(self._asked_at) > QUESTIONS_REMEMBERED:
+                del self._asked_at[next(iter(self._asked_at))]
             self.send(mav.MAVLink_timesync_message(0, now_ns))
+
+    @property
+    def not_open(self) -> str:
+        """Why the wire's connection has never been there, and the remedy; empty where it has been."""
+        return self._transport.not_open
 
     def take_notices(self) -> list[str]:
         """What happened to the wire since last asked, in sentences."""

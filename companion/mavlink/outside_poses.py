@@ -87,6 +87,8 @@ class OutsidePoses:
         self._told_s: dict[str, float] = {}
         self.local_ned = True
         """Whether the autopilot takes MAV_FRAME_LOCAL_NED (PX4) or MAV_FRAME_LOCAL_FRD only (ArduPilot)."""
+        self.on_pose: Callable[[OutsidePose], None] = lambda _: None
+        """Called with every pose that is readable, new and not late, before jumps and the rate are looked at."""
         self.counters: Counter[str] = Counter()
         self.notices: deque[str] = deque(maxlen=32)
 
@@ -130,6 +132,7 @@ class OutsidePoses:
         true_s = self._our_time(pose.time_s, arrived_s)
         if arrived_s - true_s > LATE_S:
             return self._drop("pose too late", arrived_s)
+        self.on_pose(pose)
         if self._is_jump(pose):
             return self._drop("pose jumped", arrived_s)
         velocity_enu = self._velocity(pose)

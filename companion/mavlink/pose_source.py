@@ -20,6 +20,7 @@ from companion.mavlink.framing import Framer
 from companion.mavlink.link import mav
 from companion.mavlink.pose_datagram import OutsidePose, pack_pose
 from companion.mavlink.protocol import message_interval
+from companion.mavlink.received import read
 from companion.mavlink.transport import Transport
 
 _ASK_AGAIN_S = 2.0
@@ -87,7 +88,6 @@ def true_poses(transport: Transport, rate_hz: float, poll_s: float = 0.005) -> I
     Stamped with our monotonic clock at arrival, for the message's own time is not filled in everywhere.
     """
     framer = Framer(mav.mavlink_map, stream=not transport.datagrams)
-    decoder = mav.MAVLink(None)
     codec = mav.MAVLink(None, srcSystem=1, srcComponent=_OUR_COMPONENT)
     asked_s = -math.inf
     system: int | None = None
@@ -101,9 +101,8 @@ def true_poses(transport: Transport, rate_hz: float, poll_s: float = 0.005) -> I
             for chunk in transport.receive():
                 framer.feed(chunk)
         while (frame := framer.next_frame()) is not None:
-            try:
-                message = decoder.decode(frame)
-            except mav.MAVError:
+            message = read(frame)
+            if message is None:
                 framer.reject()
                 continue
             if message.get_srcComponent() == mav.MAV_COMP_ID_AUTOPILOT1 and system is None:

@@ -71,11 +71,18 @@ class Received:
     def boot_ms(self) -> int | None:
         """The message's `time_boot_ms`, None where it has none."""
         layout = self._layout
-        if layout is None or layout.stamp_at < 0:
-            return None
-        start, end = self._head + layout.stamp_at, self._head + self._length
+        return None if layout is None or layout.stamp_at < 0 else self._integer(layout.stamp_at, 4)
+
+    @property
+    def time_us(self) -> int | None:
+        """The message's `time_usec`, None where it has none; of which clock differs between messages."""
+        layout = self._layout
+        return None if layout is None or layout.stamp_us_at < 0 else self._integer(layout.stamp_us_at, 8)
+
+    def _integer(self, place: int, size: int) -> int:
+        start, end = self._head + place, self._head + self._length
         return int.from_bytes(
-            self.msg_frame[start : min(start + 4, end)], "little"
+            self.msg_frame[start : min(start + size, end)], "little"
         )  # zeros at the end are not sent
 
     def get_msgId(self) -> int:

@@ -40,6 +40,11 @@ class StateAssembler:
         self._velocity_enu: Vector = np.zeros(3)
         self._jump_enu: Vector | None = None
 
+    @property
+    def velocity_enu(self) -> Vector:
+        """(3,) m/s, of the newest position message; zeros before the first."""
+        return self._velocity_enu
+
     def take(self, message: Message) -> VehicleState | None:
         """Take one message; return the state when it completes one."""
         kind = message.get_msgId()

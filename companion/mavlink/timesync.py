@@ -7,6 +7,7 @@ parser sleeps 1 to 2.5 ms), always in the same direction; so of the last samples
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 
@@ -20,6 +21,7 @@ class _Sample:
     wall_s: float
     offset_s: float
     round_trip_s: float
+    autopilot_trip_s: float  # the same on the autopilot's clock, as coarse as its time stamps; nan: unknown
 
 
 class TimeSync:
@@ -28,14 +30,21 @@ class TimeSync:
     def __init__(self) -> None:
         self._samples: deque[_Sample] = deque(maxlen=WINDOW)
 
-    def add(self, sent_ns: int, autopilot_ns: int, received_ns: int) -> None:
-        """Take one answer: our clock at sending and at receiving, the autopilot's clock between (all ns)."""
+    def add(
+        self, sent_ns: int, autopilot_ns: int, received_ns: int, autopilot_trip_s: float = math.nan
+    ) -> None:
+        """Take one answer: our clock at sending and at receiving, the autopilot's clock between (all ns).
+
+        `autopilot_trip_s` is by how much the autopilot's time stamps have gone on between sending and receiving.
+        """
         round_trip_ns = received_ns - sent_ns
         if round_trip_ns < 0 or round_trip_ns > 1_000_000_000 or autopilot_ns <= 0:
             return
         middle_ns = sent_ns + round_trip_ns // 2
         self._samples.append(
-            _Sample(middle_ns * 1e-9, (autopilot_ns - middle_ns) * 1e-9, round_trip_ns * 1e-9)
+            _Sample(
+                middle_ns * 1e-9, (autopilot_ns - middle_ns) * 1e-9, round_trip_ns * 1e-9, autopilot_trip_s
+            )
         )
 
     @property
@@ -49,6 +58,15 @@ class TimeSync:
         if not self._samples:
             return float("nan")
         return sorted(s.round_trip_s for s in self._samples)[len(self._samples) // 2]
+
+    @property
+    def autopilot_trip_s(self) -> float:
+        """Median round trip on the autopilot's clock (seconds); nan without a sample.
+
+        In a simulation that runs faster or slower than real time this is what a setpoint's way costs the vehicle.
+        """
+        trips = sorted(s.autopilot_trip_s for s in self._samples if s.autopilot_trip_s >= 0.0)
+        return trips[len(trips) // 2] if trips else float("nan")
 
     @property
     def offset_s(self) -> float:

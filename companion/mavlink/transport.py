@@ -25,6 +25,7 @@ CHUNKS_PER_READ = 64  # bounds how long one `receive` can keep the control threa
 PEER_SILENT_S = 1.0  # after this the autopilot may speak from another address: it started again
 RETRY_S = 0.2  # between attempts to open a broken TCP or serial connection again
 ATTEMPT_S = 0.2  # how long one attempt may keep the caller
+FIRST_ATTEMPT_S = 2.0  # the same while nothing flies yet
 
 
 class Transport:
@@ -53,6 +54,11 @@ class Transport:
 
     def greet_sender(self) -> None:
         """The last chunk came from somebody worth an answer, but not worth believing yet."""
+
+    @property
+    def not_open(self) -> str:
+        """Why there has been no connection yet, and the remedy; empty once there was one, and where none is needed."""
+        return ""
 
     def close(self) -> None:
         """Close the wire."""
@@ -155,50 +161,49 @@ class UdpTransport(Transport):
 class StreamTransport(Transport):
     """TCP or serial: one file descriptor, bytes in order.
 
-    A connection that breaks is opened again, an attempt every RETRY_S; until then nothing is received and nothing can
-    be sent. Whether the silence has become too long is for others to say.
+    A TCP connection need not be there at the beginning: the other side may be started later, as with UDP. One that is
+    not there yet, or that breaks, is opened with an attempt every RETRY_S; until then nothing is received and nothing
+    can be sent. Whether that has taken too long is for others to say. A serial port has to be there.
     """
 
     datagrams = False
 
-    def __init__(self, endpoint: Endpoint, connect_timeout_s: float) -> None:
-        """Open the connection, waiting for the other side at most `connect_timeout_s`.
+    def __init__(self, endpoint: Endpoint) -> None:
+        """Open the port, or begin to try.
 
         Raises:
-            UserError: it cannot be opened.
+            UserError: it cannot be opened, and waiting would not help.
         """
         super().__init__()
         self._listener: socket.socket | None = None
         self._unsent = bytearray()
         self._endpoint = endpoint
-        self._broke_s = 0.0
-        self._next_attempt_s = 0.0
         self._file: int | None = None
+        self._missing_since_s = time.monotonic()
+        self._next_attempt_s = self._missing_since_s + RETRY_S
+        self._not_open = ""
         try:
             if endpoint.kind is EndpointKind.TCP_SERVER:
                 self._listener = socket.create_server((endpoint.host, endpoint.number))
-            deadline = time.monotonic() + connect_timeout_s
-            while self._file is None:
-                try:
-                    self._file = self._open(2.0)
-                except (ConnectionRefusedError, TimeoutError):  # simulators open their port late
-                    if time.monotonic() > deadline:
-                        raise
-                    time.sleep(0.1)
-        except TimeoutError:
-            self.close()
-            raise UserError(self._nobody_came(connect_timeout_s)) from None
+            self._file = self._open(0.0 if self._listener is not None else FIRST_ATTEMPT_S)
         except OSError as error:
-            self.close()
-            raise _cannot_open(endpoint, error) from None
+            if endpoint.kind is EndpointKind.SERIAL or not _may_come(error):
+                self.close()
+                raise _cannot_open(endpoint, error) from None
+            self._not_open = self._nobody(error)
+            self.notices.append(f"endpoint {endpoint}: {self._not_open.partition(';')[0]} yet; waiting")
 
-    def _nobody_came(self, timeout_s: float) -> str:
-        if self._listener is not None or self._endpoint.kind is EndpointKind.TCP_SERVER:
-            return (
-                f"endpoint {self._endpoint}: nobody connected within {timeout_s:.0f} s; "
-                "point the autopilot's TCP client at this address"
-            )
-        return f"endpoint {self._endpoint}: no answer within {timeout_s:.0f} s; is the address right?"
+    def _nobody(self, error: OSError) -> str:
+        if self._listener is not None:
+            return "nobody has connected; point the autopilot's TCP client at this address"
+        if isinstance(error, TimeoutError):
+            return "no answer; is the address right?"
+        return _REMEDIES.get(error.errno or 0, f"{error.strerror or error}; check the address")
+
+    @property
+    def not_open(self) -> str:
+        """See `Transport.not_open`."""
+        return self._not_open
 
     def _open(self, timeout_s: float) -> int:
         if self._endpoint.kind is EndpointKind.SERIAL:
@@ -257,7 +262,7 @@ class StreamTransport(Transport):
         os.close(self._file)
         self._file = None
         self._unsent.clear()
-        self._broke_s = time.monotonic()
+        self._missing_since_s = time.monotonic()
         self.notices.append(f"endpoint {self._endpoint}: {why}; trying to connect again")
 
     def _open_again(self) -> bool:
@@ -266,10 +271,13 @@ class StreamTransport(Transport):
             return False
         self._next_attempt_s = now_s + RETRY_S
         try:
-            self._file = self._open(ATTEMPT_S)
+            self._file = self._open(FIRST_ATTEMPT_S if self._not_open and not self._listener else ATTEMPT_S)
         except OSError:
             return False
-        self.notices.append(f"endpoint {self._endpoint}: connected again after {now_s - self._broke_s:.1f} s")
+        again = "" if self._not_open else " again"
+        waited_s = time.monotonic() - self._missing_since_s
+        self.notices.append(f"endpoint {self._endpoint}: connected{again} after {waited_s:.1f} s")
+        self._not_open = ""
         return True
 
     def close(self) -> None:
@@ -281,15 +289,25 @@ class StreamTransport(Transport):
             self._listener.close()
 
 
-def open_transport(endpoint: Endpoint, connect_timeout_s: float = 30.0) -> UdpTransport | StreamTransport:
-    """Open the wire of an endpoint.
+def open_transport(endpoint: Endpoint) -> UdpTransport | StreamTransport:
+    """Open the wire of an endpoint. Nobody at the other end of a UDP or TCP address is no error: somebody may come.
 
     Raises:
-        UserError: when it cannot be opened (port taken, no such device, nobody answers), with the remedy.
+        UserError: when it cannot be opened (port taken, no such device, no such host), with the remedy.
     """
     if endpoint.kind in (EndpointKind.UDP_IN, EndpointKind.UDP_OUT):
         return UdpTransport(endpoint)
-    return StreamTransport(endpoint, connect_timeout_s)
+    return StreamTransport(endpoint)
+
+
+def _may_come(error: OSError) -> bool:
+    """Whether what keeps a TCP connection from being opened may pass: a simulator started later, a network coming up."""
+    return isinstance(error, TimeoutError | BlockingIOError) or error.errno in (
+        errno.ECONNREFUSED,
+        errno.ECONNRESET,
+        errno.EHOSTUNREACH,
+        errno.ENETUNREACH,
+    )
 
 
 def _detached(connection: socket.socket) -> int:

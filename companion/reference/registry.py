@@ -69,7 +69,14 @@ def trajectory_from_text(text: str) -> Trajectory:
         if option in given:
             raise UserError(f"trajectory '{name}': option '{option}' is given twice")
         given[option] = _value(name, key, value, kinds[option] is bool, factor)
-    return build(Path(file.strip()).expanduser(), **given) if reads_file else build(**given)
+    return build(_path(file.strip()), **given) if reads_file else build(**given)
+
+
+def _path(file: str) -> Path:
+    try:
+        return Path(file).expanduser()
+    except (RuntimeError, ValueError) as error:  # ~NAME of nobody; a null byte
+        raise UserError(f"{file!r} is no path of a file: {error}") from None
 
 
 def describe_trajectories() -> str:

@@ -15,14 +15,16 @@ from sitl_stub.firmware import ardupilot_layout as at
 from sitl_stub.firmware.ardupilot_boot import Boot, Happenings
 from sitl_stub.firmware.ardupilot_commands import ArduPilotCommands
 from sitl_stub.firmware.ardupilot_core import ArduPilotCore
-from sitl_stub.firmware.ardupilot_failsafes import Failsafes
+from sitl_stub.firmware.ardupilot_failsafes import BatteryLevel, Failsafes
 from sitl_stub.firmware.ardupilot_flight import Flight
 from sitl_stub.firmware.ardupilot_ground import GroundSense
 from sitl_stub.firmware.ardupilot_guided import Guided
 from sitl_stub.firmware.ardupilot_modes import BY_NUMBER, Mode, mode_named
 from sitl_stub.firmware.ardupilot_parameters import ArduPilotParameters
+from sitl_stub.firmware.ardupilot_statistics import Statistics
 from sitl_stub.firmware.ardupilot_streams import ArduPilotMessages
-from sitl_stub.firmware.autopilot import Autopilot, Result
+from sitl_stub.firmware.autopilot import Autopilot
+from sitl_stub.firmware.commands import Result
 from sitl_stub.firmware.streams import Builder
 from sitl_stub.mavlink.links import Link
 
@@ -79,6 +81,7 @@ class ArduPilot(Autopilot):
         self.boot = Boot(self, self.ready_after_s)
         self.happenings = Happenings(self)
         self.failsafes = Failsafes(self)
+        self.statistics = Statistics(self)
         self.flight.limit_vertical()
         self.flight.rest_on_ground()
 
@@ -207,7 +210,7 @@ class ArduPilot(Autopilot):
 
     def arming_refusals(self) -> list[str]:
         """What stands against arming in the present mode, in ArduPilot's words; empty when nothing does."""
-        refusals = ["Motors Emergency Stopped"] if self.killed else []
+        refusals = []
         if not self.boot.accelerometers_agree:
             refusals.append("Accels inconsistent")
         if self.mode.value.needs_position:
@@ -215,8 +218,13 @@ class ArduPilot(Autopilot):
                 refusals.append("AHRS: waiting for home")
             elif not self.position_known:
                 refusals.append("Need Position Estimate")
+        refusals += self.failsafes.battery_refusals()
         if self.mode is Mode.AUTO:
             refusals.append("Mode requires mission")
+        if self.failsafes.battery > BatteryLevel.OK:
+            refusals.append("Battery failsafe")
+        if self.killed:
+            refusals.append("Motors Emergency Stopped")
         return refusals
 
     def request_arm(self, forced: bool) -> Result:
@@ -330,6 +338,7 @@ class ArduPilot(Autopilot):
         self._disarm_when_idle()
         self.failsafes.update()
         self.happenings.update()
+        self.statistics.update()
 
     def _disarm_when_idle(self) -> None:
         """DISARM_DELAY: armed, on the ground, throttle down, motors idle."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from sitl_stub.physics import estimator as belief
 from sitl_stub.physics import vehicle as body
 
 if TYPE_CHECKING:
@@ -24,7 +25,9 @@ YAW_ALIGNED_ABOVE_M = 2.5
 IN_AIR_ABOVE_M = 0.05
 HARD_LANDING_M_S = 0.1
 """The simulator tells of touch-downs faster than this."""
-CRITICAL, INFO = 2, 6
+AIDING_STOPS_S = 15.0
+"""EKF3's tiltDriftTimeMax_ms."""
+CRITICAL, WARNING, INFO = 2, 4, 6
 
 SAYINGS: tuple[tuple[float, str], ...] = (
     (1.0, "Barometer 1 calibration complete"),
@@ -117,12 +120,28 @@ class Happenings:
         self.autopilot = autopilot
         self._yaw_aligned = False
         self._in_air = False
+        self._aiding = True
         self._sinking_m_s = 0.0
+
+    def _tell_aiding(self) -> None:
+        """The filter gives its position up for good after a while without measurements, and takes it up again."""
+        a = self.autopilot
+        aiding = float(a.core.estimator.arrays.memory[belief.TIME_UNAIDED]) <= AIDING_STOPS_S
+        if aiding == self._aiding:
+            return
+        self._aiding = aiding
+        source = "GPS" if a.has_gps else "external nav data"
+        for unit in (0, 1):
+            if aiding:
+                a.say(INFO, f"EKF3 IMU{unit} is using {source}")
+            else:
+                a.say(WARNING, f"EKF3 IMU{unit} stopped aiding")
 
     def update(self) -> None:
         """A hundred times a second."""
         a = self.autopilot
         state = a.core.state
+        self._tell_aiding()
         if a.armed and not self._yaw_aligned and a.height_above_home_m > YAW_ALIGNED_ABOVE_M:
             self._yaw_aligned = True
             for unit in (0, 1):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from sitl_stub.firmware.ardupilot_modes import Mode
 from sitl_stub.firmware.ardupilot_streams import STREAM_GROUPS
-from sitl_stub.firmware.autopilot import Command, CommandHandler, MessageHandler, Result, is_place, whole
+from sitl_stub.firmware.commands import Command, CommandHandler, MessageHandler, Result, is_place, whole
 from sitl_stub.firmware.parameters import ParameterError
 from sitl_stub.mavlink.codec import LAYOUTS, Received
 from sitl_stub.mavlink.links import Link
@@ -296,5 +296,9 @@ class ArduPilotCommands:
         except ParameterError as error:
             a.on_text(str(error))
             return
-        for other in a.links:
-            self._send(other, name, NO_INDEX)
+        self.announce_parameter(name)
+
+    def announce_parameter(self, name: str) -> None:
+        """PARAM_VALUE to everybody, without its index."""
+        for link in self.autopilot.links:
+            self._send(link, name, NO_INDEX)

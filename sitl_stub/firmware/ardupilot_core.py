@@ -16,12 +16,15 @@ from sitl_stub.firmware import ardupilot_layout as at
 from sitl_stub.firmware import ardupilot_loop as loop
 from sitl_stub.firmware.ardupilot_mixing import motor_factors
 from sitl_stub.firmware.vehicle_core import VehicleCore
+from sitl_stub.physics import estimator as belief
 from sitl_stub.physics.vehicle import VehicleParameters
 
 FloatArray = NDArray[np.float64]
 
 CONTROL_PERIOD_US = 2500
 PHYSICS_STEPS = 3
+POSITION_GIVEN_UP_S = 7.0
+"""How long EKF3 vouches for a position that nothing measures (posRetryTimeNoVel_ms)."""
 
 
 class ArduPilotCore(VehicleCore):
@@ -37,6 +40,7 @@ class ArduPilotCore(VehicleCore):
         gust_speed_m_s: float = 0.0,
     ) -> None:
         super().__init__(vehicle, CONTROL_PERIOD_US, estimator, seed, wind_ned_m_s, gust_speed_m_s)
+        self.estimator.arrays.settings[belief.SET_TIMEOUT] = POSITION_GIVEN_UP_S
         self.setpoint = np.zeros(at.SETPOINT_SIZE)
         self.memory = np.zeros(at.MEMORY_SIZE)
         self.reset_controllers()

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 BRAKE_ACCEL_M_S2 = 7.5
 BRAKE_SPEED_Z_M_S = 2.5
 RTL_ARRIVED_M = 2.0
+LAND_PAUSE_US = 4_000_000
+"""LAND_WITH_DELAY_MS."""
 RTL_CLIMB_LEAST_M = 2.5
 THROTTLE_DEAD = 0.1
 """Half width of the throttle stick's dead zone about the middle (THR_DZ 100 of 1000)."""
@@ -53,6 +55,7 @@ class Flight:
         self.takeoff_height_m: float | None = None
         """Target of NAV_TAKEOFF in modes with sticks, above the origin."""
         self._stage_since_us = 0
+        self._descends_at_us = 0
         self._throttle = 0.0
 
     # --- limits ------------------------------------------------------------------------------------------------
@@ -193,6 +196,7 @@ class Flight:
     def enter(self, mode: Mode) -> None:
         """A mode begins: from where the vehicle is and as it moves."""
         a = self.autopilot
+        self._descends_at_us = 0
         core = a.core
         s, m = core.setpoint, core.memory
         self.takeoff_height_m = None
@@ -348,6 +352,8 @@ class Flight:
         above_slow = max(p["LAND_ALT_LOW"], 100.0) * 0.01 - a.height_above_home_m
         rate = sqrt_controller(above_slow, p["PSC_POSZ_P"], p["WPNAV_ACCEL_Z"] * 0.01, LOGIC_DT_S)
         rate = min(max(rate, -max(fast, slow)), -slow)
+        if a.mode is Mode.LAND and a.time_us < self._descends_at_us:
+            rate = 0.0
         s[at.IGNORE_DESCENT_LIMIT] = float(above_slow > 0.0 or a.maybe_landed)
         s[at.UP_KIND] = at.KIND_VELOCITY
         s[at.VELOCITY + 2] = rate
@@ -368,6 +374,10 @@ class Flight:
             for i in range(2):
                 m[at.DESIRED_POSITION + i] += share * (float(place[i]) - m[at.DESIRED_POSITION + i])
         self.follow_position()
+
+    def pause_landing(self) -> None:
+        """A failsafe has asked for LAND: stay for a while before the descent."""
+        self._descends_at_us = self.autopilot.time_us + LAND_PAUSE_US
 
     def _start_rtl(self) -> None:
         a = self.autopilot

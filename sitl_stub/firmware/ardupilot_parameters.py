@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from importlib import resources
+from pathlib import Path
 
 from sitl_stub.firmware.parameters import REAL32, ParameterError, ParameterTable
 
@@ -50,7 +50,7 @@ class ArduPilotParameters(ParameterTable):
 
 def stock_parameters() -> ArduPilotParameters:
     """The list of the capture with stock values."""
-    text = (resources.files("sitl_stub.firmware") / "data" / DATA_FILE).read_text(encoding="utf-8")
+    text = (Path(__file__).parent / "data" / DATA_FILE).read_text(encoding="utf-8")
     content = json.loads(text)
     values: dict[str, float] = content["values"]
     kinds = {name: KINDS[letter] for name, letter in zip(values, content["kinds"], strict=True)}

@@ -1,4 +1,4 @@
-"""The core every firmware shares: time, links, streams, the command and parameter protocols, TIMESYNC, PING.
+"""The core every firmware shares: time, links, streams, TIMESYNC, PING; commands and parameters have files of their own.
 
 A firmware is a subclass that fills the tables `commands` and `messages`, defines its streams, and runs its modes in
 `run_logic`. Nothing in here reads a clock: time is `time_us` of the flight core, so that everything on the wire is a
@@ -7,17 +7,15 @@ function of the seed and of what clients sent at which simulated instant.
 
 from __future__ import annotations
 
-import math
-import struct
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from enum import IntEnum
 from typing import TYPE_CHECKING, Any
 
-from sitl_stub.firmware.parameters import INT32, ParameterError, ParameterTable
+from sitl_stub.firmware.commands import CommandHandler, CommandProtocol, MessageHandler, Result
+from sitl_stub.firmware.parameter_protocol import ParameterProtocol
+from sitl_stub.firmware.parameters import ParameterTable
 from sitl_stub.firmware.streams import Builder, LinkStreams, StreamTable
 from sitl_stub.firmware.vehicle_core import VehicleCore
-from sitl_stub.mavlink.codec import LAYOUTS, Received
+from sitl_stub.mavlink.codec import Received
 from sitl_stub.mavlink.links import Link
 from sitl_stub.physics import vehicle as body
 
@@ -25,57 +23,13 @@ if TYPE_CHECKING:
     from sitl_stub.faults.director import FaultDirector
 
 LOGIC_PERIOD_US = 10_000
-PARAMETERS_PER_INSTANT = 10
 LATEST_CLOCK_US = (2**32 - 1) * 1000
 """What `time_boot_ms` can hold."""
 REFUSED_PROBE_US = 500_000
-LONGEST_INTERVAL_US = 2.0**31 - 1.0
-"""What MESSAGE_INTERVAL can tell."""
-UINT32 = 5
 AIRBORNE_ABOVE_M = 0.05
 """Truth, for what comes after take-off."""
 SIMULATED_EPOCH_US = 1_795_335_292_521_929
 """Unix time of boot, µs: that of the PX4 capture. Fixed, so that SYSTEM_TIME repeats."""
-
-
-HIGHEST_M = 83_000.0
-
-
-def whole(number: float) -> int:
-    """A command's float as a whole number; −1 where there is none."""
-    return int(number) if math.isfinite(number) else -1
-
-
-def is_place(latitude_deg: float, longitude_deg: float, altitude_m: float) -> bool:
-    """Whether these can be a place: NaN is none."""
-    return abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0 and abs(altitude_m) <= HIGHEST_M
-
-
-class Result(IntEnum):
-    """MAV_RESULT."""
-
-    ACCEPTED = 0
-    TEMPORARILY_REJECTED = 1
-    DENIED = 2
-    UNSUPPORTED = 3
-    FAILED = 4
-    IN_PROGRESS = 5
-
-
-@dataclass(frozen=True, slots=True)
-class Command:
-    """COMMAND_LONG or COMMAND_INT as one thing."""
-
-    number: int
-    params: tuple[float, ...]
-    """Seven numbers; 5 and 6 of a COMMAND_INT are already in degrees."""
-    sender_system: int
-    sender_component: int
-
-
-CommandHandler = Callable[[Link, Command], Result | None]
-"""Returns the result to acknowledge, or None when the handler has acknowledged itself (or keeps silent)."""
-MessageHandler = Callable[[Link, Received], None]
 
 
 class Autopilot:
@@ -109,19 +63,21 @@ class Autopilot:
         self.faults: FaultDirector | None = None
         """What is to go wrong; it puts itself here."""
         self._parameter_changes = parameters.changes
+        self.command_protocol = CommandProtocol(self)
+        self.parameter_protocol = ParameterProtocol(self)
         self.commands: dict[int, CommandHandler] = {
-            410: self._ignore_command,
-            510: self._get_message_interval,
-            511: self._set_message_interval,
-            512: self._request_message,
+            410: self.command_protocol.ignore,
+            510: self.command_protocol.get_message_interval,
+            511: self.command_protocol.set_message_interval,
+            512: self.command_protocol.request_message,
         }
         self.messages: dict[str, MessageHandler] = {
             "HEARTBEAT": self._heartbeat,
-            "COMMAND_LONG": self._command_long,
-            "COMMAND_INT": self._command_int,
-            "PARAM_REQUEST_LIST": self._param_request_list,
-            "PARAM_REQUEST_READ": self._param_request_read,
-            "PARAM_SET": self._param_set,
+            "COMMAND_LONG": self.command_protocol.take_long,
+            "COMMAND_INT": self.command_protocol.take_int,
+            "PARAM_REQUEST_LIST": self.parameter_protocol.request_list,
+            "PARAM_REQUEST_READ": self.parameter_protocol.request_read,
+            "PARAM_SET": self.parameter_protocol.take,
             "TIMESYNC": self._timesync,
             "PING": self._ping,
             "MISSION_REQUEST_LIST": self._mission_request_list,
@@ -233,7 +189,7 @@ class Autopilot:
                 continue  # nobody listens there: knock once in a while instead of talking
             sent += streams.send_due(link, now)
             if streams.parameters_waiting:
-                sent += self._send_waiting_parameters(link, streams)
+                sent += self.parameter_protocol.send_waiting(link, streams)
         return sent
 
     # --- what happens to it --------------------------------------------------------------------------------------
@@ -249,6 +205,7 @@ class Autopilot:
         self.core.reset_controllers()
         for link in self.links:
             link.writer.sequence = 0
+            link.traffic.clear()
             self.streams.close(link)
             link.firmware_data = self.streams.open(link, self.booted_us)
         self.power_up()
@@ -324,6 +281,7 @@ class Autopilot:
         """Take in one message of a client; while the firmware is starting nobody listens."""
         if self.uptime_us < 0:
             return
+        link.traffic.take(message)
         link.writer.version = message.mavlink_version
         handler = self.messages.get(message.name)
         if handler is None:
@@ -337,136 +295,6 @@ class Autopilot:
         if self.parameters.changes != self._parameter_changes:
             self._parameter_changes = self.parameters.changes
             self.parameters_changed()
-
-    # --- commands ----------------------------------------------------------------------------------------------
-    def acknowledge(self, link: Link, command: Command, result: Result) -> None:
-        """Send COMMAND_ACK to whoever sent the command."""
-        link.send(
-            "COMMAND_ACK",
-            command=command.number,
-            result=int(result),
-            target_system=command.sender_system,
-            target_component=command.sender_component,
-        )
-
-    def _run_command(self, link: Link, command: Command) -> None:
-        handler = self.commands.get(command.number)
-        result = Result.UNSUPPORTED if handler is None else handler(link, command)
-        if result is not None:
-            self.acknowledge(link, command, result)
-
-    def _command_long(self, link: Link, message: Received) -> None:
-        v = message.values
-        params = tuple(float(v[f"param{i}"]) for i in range(1, 8))
-        self._run_command(link, Command(v["command"], params, message.system, message.component))
-
-    def _command_int(self, link: Link, message: Received) -> None:
-        v = message.values
-        place = (v["x"] * 1e-7, v["y"] * 1e-7, float(v["z"]))
-        params = (*(float(v[f"param{i}"]) for i in range(1, 5)), *place)
-        self._run_command(link, Command(v["command"], params, message.system, message.component))
-
-    def _ignore_command(self, link: Link, command: Command) -> Result | None:
-        return Result.ACCEPTED
-
-    def _set_message_interval(self, link: Link, command: Command) -> Result | None:
-        message_id, interval = self._message_id(command), min(command.params[1], LONGEST_INTERVAL_US)
-        if (
-            message_id is None
-            or not math.isfinite(interval)
-            or not self.streams.set_interval(link, message_id, interval, self.time_us)
-        ):
-            return self.unknown_interval_result
-        return Result.ACCEPTED
-
-    @staticmethod
-    def _message_id(command: Command) -> int | None:
-        number = command.params[0]
-        return int(number) if 0 <= number < 2**24 else None
-
-    def _get_message_interval(self, link: Link, command: Command) -> Result | None:
-        message_id = self._message_id(command)
-        stream = None if message_id is None else self.streams.of(link).streams.get(message_id)
-        interval = 0
-        if stream is not None:
-            interval = round(stream.interval_us) if stream.interval_us > 0 else -1
-        link.send("MESSAGE_INTERVAL", message_id=(message_id or 0) & 0xFFFF, interval_us=interval)
-        return Result.ACCEPTED
-
-    def _request_message(self, link: Link, command: Command) -> Result | None:
-        message_id = self._message_id(command)
-        if message_id is None or not self.streams.build(link, message_id):
-            return self.unknown_request_result
-        return Result.ACCEPTED
-
-    # --- parameters --------------------------------------------------------------------------------------------
-    def _wire_value(self, name: str) -> float:
-        value = self.parameters[name]
-        if isinstance(value, int) and self.integers_as_bits:
-            return float(struct.unpack("<f", struct.pack("<i", value))[0])
-        return float(value)
-
-    def send_parameter(self, link: Link, name: str) -> None:
-        """Send one PARAM_VALUE."""
-        layout = LAYOUTS["PARAM_VALUE"]
-        value = self.parameters[name]
-        kind = self.parameters.kind(name)
-        if isinstance(value, int) and self.integers_as_bits:
-            # Packed by hand: a bit pattern that is a signalling NaN must not pass through a Python float.
-            frame_value = struct.pack("<i", value)
-        else:
-            frame_value = struct.pack("<f", value)
-        payload = frame_value + struct.pack(
-            "<HH16sB", len(self.parameters), self.parameters.index(name), name.encode(), kind
-        )
-        link.send_payload(layout, payload)
-
-    def _send_waiting_parameters(self, link: Link, streams: LinkStreams) -> int:
-        count = min(PARAMETERS_PER_INSTANT, len(streams.parameters_waiting))
-        for _ in range(count):
-            name = self.parameters.name_at(streams.parameters_waiting.pop())
-            if name is not None:
-                self.send_parameter(link, name)
-        return count
-
-    def _param_request_list(self, link: Link, message: Received) -> None:
-        streams: LinkStreams = link.firmware_data
-        if self.hash_leads_list:
-            self._send_parameter_hash(link)
-        streams.parameters_waiting = list(range(len(self.parameters) - 1, -1, -1))
-
-    def _send_parameter_hash(self, link: Link) -> None:
-        name = b"_HASH_CHECK"
-        payload = struct.pack("<IHH16sB", self.parameters.hash(), len(self.parameters), 0xFFFF, name, UINT32)
-        link.send_payload(LAYOUTS["PARAM_VALUE"], payload)
-
-    def _param_request_read(self, link: Link, message: Received) -> None:
-        index = message.values["param_index"]
-        name = message.values["param_id"] if index < 0 else self.parameters.name_at(index)
-        if name == "_HASH_CHECK":
-            self._send_parameter_hash(link)
-        elif name is not None and name in self.parameters:
-            self.send_parameter(link, name)
-
-    def _param_set(self, link: Link, message: Received) -> None:
-        name = message.values["param_id"]
-        if name == "_HASH_CHECK":
-            streams: LinkStreams = link.firmware_data
-            streams.parameters_waiting = []
-            return
-        if name not in self.parameters:
-            return
-        value = float(message.values["param_value"])
-        if self.parameters.kind(name) == INT32 and self.integers_as_bits:
-            value = float(struct.unpack("<i", struct.pack("<f", value))[0])
-        elif self.parameters.kind(name) == INT32:
-            value = float(round(value)) if value == value and abs(value) < 2**31 else value
-        try:
-            self.parameters.set(name, value)
-        except ParameterError as error:
-            self.on_text(str(error))
-        for other in self.links:
-            self.send_parameter(other, name)
 
     # --- time and the rest -------------------------------------------------------------------------------------
     def _timesync(self, link: Link, message: Received) -> None:

@@ -7,7 +7,7 @@ import math
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
-from importlib import resources
+from pathlib import Path
 
 INT32 = 6  # MAV_PARAM_TYPE_INT32
 REAL32 = 9  # MAV_PARAM_TYPE_REAL32
@@ -82,6 +82,6 @@ class ParameterTable(Mapping[str, float]):
 
 def shipped_parameters(file_name: str) -> dict[str, float]:
     """A parameter list that comes with the stub (`firmware/data/`)."""
-    text = (resources.files("sitl_stub.firmware") / "data" / file_name).read_text(encoding="utf-8")
+    text = (Path(__file__).parent / "data" / file_name).read_text(encoding="utf-8")
     values: dict[str, float] = json.loads(text)
     return values

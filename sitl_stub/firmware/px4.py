@@ -13,15 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sitl_stub.firmware import control_layout as at
-from sitl_stub.firmware.autopilot import (
-    HIGHEST_M,
-    LOGIC_PERIOD_US,
-    Autopilot,
-    Command,
-    Result,
-    is_place,
-    whole,
-)
+from sitl_stub.firmware.autopilot import LOGIC_PERIOD_US, Autopilot
+from sitl_stub.firmware.commands import HIGHEST_M, Command, Result, is_place, whole
 from sitl_stub.firmware.flight_core import CONTROL_PERIOD_US, FlightCore
 from sitl_stub.firmware.land_detector import LandDetector
 from sitl_stub.firmware.parameters import ParameterTable
@@ -51,11 +44,13 @@ class Px4Version:
     old_mixers: bool
     """Fixed mixers with 1.13's normalisation."""
     speaks_events: bool
-    """Announces with EVENT rather than STATUSTEXT, and sends CURRENT_MODE."""
+    """Announces with EVENT rather than STATUSTEXT."""
+    newer_reports: bool
+    """Sends CURRENT_MODE, the way home in seconds, the receiver's integrity and remote identification."""
 
 
-VERSION_1_17 = Px4Version("px4", 0x011100FF, False, False, True)
-VERSION_1_13 = Px4Version("px4-1.13", 0x010D03FF, True, True, False)
+VERSION_1_17 = Px4Version("px4", 0x011100FF, False, False, True, True)
+VERSION_1_13 = Px4Version("px4-1.13", 0x010D03FF, True, True, False, False)
 
 
 class Px4(Autopilot):
@@ -89,7 +84,7 @@ class Px4(Autopilot):
                 178: self._change_speed,
                 179: self._set_home,
                 192: self._reposition,
-                241: self._ignore_command,
+                241: self.command_protocol.ignore,
                 246: self._reboot,
                 400: self._arm,
                 520: self._request_capabilities,
@@ -154,10 +149,17 @@ class Px4(Autopilot):
         self.home_quaternion = (w, x, y, z)
         self.home_set_us = self.clock_us
 
-    def announce(self, severity: int, text: str, event: Event | None = None) -> None:
-        """Tell clients what happened: as EVENT where the release does that, else as STATUSTEXT."""
+    def announce(
+        self,
+        severity: int,
+        text: str,
+        event: Event | None = None,
+        arguments: bytes = b"",
+        old_text: str | None = None,
+    ) -> None:
+        """Tell clients what happened: as EVENT where the release does that, else as STATUSTEXT (`old_text`, if other)."""
         if not self.version.speaks_events:
-            self.say(severity, text)
+            self.say(severity, text if old_text is None else old_text)
             return
         self.on_text(text)
         if event is None:
@@ -169,7 +171,7 @@ class Px4(Autopilot):
             event_time_boot_ms=self.clock_us // 1000,
             sequence=self.event_sequence,
             log_levels=event.log_levels,
-            arguments=event.arguments,
+            arguments=arguments,
         )
 
     # --- the loop ----------------------------------------------------------------------------------------------
@@ -298,12 +300,12 @@ class Px4(Autopilot):
     # --- commands ----------------------------------------------------------------------------------------------
     def _do_set_mode(self, link: Link, command: Command) -> Result | None:
         # Two acknowledgements, as in the capture: one for the command having arrived, one for its outcome.
-        self.acknowledge(link, command, Result.ACCEPTED)
+        self.command_protocol.acknowledge(link, command, Result.ACCEPTED)
         if max(whole(command.params[0]), 0) & 1:
             mode = mode_of(whole(command.params[1]), whole(command.params[2]))
         else:
             mode = None
-        self.acknowledge(link, command, self.commander.request_mode(mode))
+        self.command_protocol.acknowledge(link, command, self.commander.request_mode(mode))
         return None
 
     def _mode_command(self, mode: Mode) -> Result:
@@ -350,10 +352,10 @@ class Px4(Autopilot):
         return Result.DENIED if self.commander.armed else Result.ACCEPTED
 
     def _arm(self, link: Link, command: Command) -> Result | None:
-        wanted = command.params[0]
-        if wanted not in (0.0, 1.0):
+        wanted = round(command.params[0]) if math.isfinite(command.params[0]) else -1
+        if wanted not in (0, 1):
             return Result.UNSUPPORTED
-        return self.commander.request_arm(wanted == 1.0, command.params[1] == FORCE_MAGIC)
+        return self.commander.request_arm(wanted == 1, command.params[1] == FORCE_MAGIC)
 
     def _request_capabilities(self, link: Link, command: Command) -> Result | None:
         self.streams.build(link, 148)

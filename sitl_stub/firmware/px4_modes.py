@@ -17,6 +17,8 @@ class ModeFacts:
     sub: int
     base_flags: int
     """HEARTBEAT.base_mode without the armed bit (OFFBOARD's stabilise bit depends on the setpoint)."""
+    name: str
+    """In PX4's texts."""
     needs_sticks: bool = False
     needs_position: bool = False
     can_arm: bool = True
@@ -27,29 +29,29 @@ class ModeFacts:
 class Mode(Enum):
     """A mode of PX4; the value holds its facts. Custom mode on the wire: main << 16 | sub << 24."""
 
-    MANUAL = ModeFacts(1, 0, 81, needs_sticks=True)
+    MANUAL = ModeFacts(1, 0, 81, "Manual", needs_sticks=True)
     """Sticks to attitude and thrust (a multirotor treats it as STABILIZED)."""
-    ALTCTL = ModeFacts(2, 0, 81, needs_sticks=True, standard_mode=4)
+    ALTCTL = ModeFacts(2, 0, 81, "Altitude", needs_sticks=True, standard_mode=4)
     """Sticks to tilt and climb rate."""
-    POSCTL = ModeFacts(3, 0, 81, needs_sticks=True, needs_position=True, standard_mode=1)
+    POSCTL = ModeFacts(3, 0, 81, "Position", needs_sticks=True, needs_position=True, standard_mode=1)
     """Sticks to velocity; holds position when they are centred."""
-    ACRO = ModeFacts(5, 0, 65, needs_sticks=True)
+    ACRO = ModeFacts(5, 0, 65, "Acro", needs_sticks=True)
     """Sticks to body rates."""
-    STABILIZED = ModeFacts(7, 0, 81, needs_sticks=True)
+    STABILIZED = ModeFacts(7, 0, 81, "Stabilized", needs_sticks=True)
     """Sticks to attitude and thrust."""
-    OFFBOARD = ModeFacts(6, 0, 1)
+    OFFBOARD = ModeFacts(6, 0, 1, "Offboard")
     """Setpoints over MAVLink."""
-    TAKEOFF = ModeFacts(4, 2, 29, needs_position=True, standard_mode=8)
+    TAKEOFF = ModeFacts(4, 2, 29, "Takeoff", needs_position=True, standard_mode=8)
     """Climb to MIS_TAKEOFF_ALT, then hold."""
-    LOITER = ModeFacts(4, 3, 29, needs_position=True)
+    LOITER = ModeFacts(4, 3, 29, "Hold", needs_position=True)
     """Hold the place."""
-    MISSION = ModeFacts(4, 4, 29, needs_position=True, can_arm=False, standard_mode=6)
+    MISSION = ModeFacts(4, 4, 29, "Mission", needs_position=True, can_arm=False, standard_mode=6)
     """Fly the mission; the stub has none, so it can never run."""
-    RTL = ModeFacts(4, 5, 29, needs_position=True, can_arm=False, standard_mode=5)
+    RTL = ModeFacts(4, 5, 29, "RTL", needs_position=True, can_arm=False, standard_mode=5)
     """Climb if far away, return to home, land."""
-    LAND = ModeFacts(4, 6, 29, can_arm=False, standard_mode=7)
+    LAND = ModeFacts(4, 6, 29, "Land", can_arm=False, standard_mode=7)
     """Land where it is."""
-    PRECISION_LAND = ModeFacts(4, 9, 29, can_arm=False)
+    PRECISION_LAND = ModeFacts(4, 9, 29, "Precision land", can_arm=False)
     """Lands where it is: the stub has no beacon."""
 
     @property
@@ -74,6 +76,8 @@ FAILSAFE_ACTIONS: dict[int, Mode] = {
     4: Mode.LAND,
     5: Mode.LOITER,
 }
+STICK_LOSS_ACTIONS: dict[int, Mode] = {1: Mode.LOITER, 2: Mode.RTL, 3: Mode.LAND}
+"""NAV_RCL_ACT; where it asks for nothing, and the mode needs sticks, PX4 returns."""
 FAILSAFE_TERMINATE = 6
 FAILSAFE_DISARM = 7
 

@@ -240,20 +240,30 @@ class Navigator:
         place, moving = self.follower.position, self.follower.velocity
         self._send((place[0], place[1], NAN), (moving[0], moving[1], self.vertical_velocity))
 
+    def return_height(self, away_m: float, height_m: float) -> float:
+        """Height above home, m, to which a return climbs from `height_m` (PX4's `RTL::computeReturnAltitude`).
+
+        Near home it stays inside a cone about it instead of climbing to RTL_RETURN_ALT.
+        """
+        p = self.autopilot.parameters
+        highest, cone_deg = float(p["RTL_RETURN_ALT"]), float(p["RTL_CONE_ANG"])
+        wanted = highest
+        if cone_deg > 0.0:
+            accepted = float(p["NAV_ACC_RAD"])
+            if away_m <= accepted:
+                wanted = 2.0 * away_m
+            elif away_m <= p["RTL_MIN_DIST"]:
+                inside = away_m / math.tan(math.radians(min(max(cone_deg, 1.0), 89.0)))
+                wanted = max(min(inside, highest), 2.0 * accepted)
+        return max(height_m, min(wanted, highest))
+
     def _return(self, dt_s: float) -> None:
         p, home = self.autopilot.parameters, self.autopilot.home_ned
         core = self.autopilot.core
         away = math.hypot(float(core.position_ned[0] - home[0]), float(core.position_ned[1] - home[1]))
         if self.stage == "start":
             height = float(home[2] - core.position_ned[2])
-            wanted = p["RTL_RETURN_ALT"]
-            cone = p.get("RTL_CONE_ANG", 0.0)
-            if 0 < cone < 90 and away < p["RTL_MIN_DIST"]:
-                # near home PX4 stays inside a cone instead of climbing to the full height
-                wanted = min(
-                    wanted, max(2.0 * away, 0.0) / math.tan(math.radians(cone)) / 2.0 + p["RTL_DESCEND_ALT"]
-                )
-            self.target[2] = home[2] - max(height, wanted)
+            self.target[2] = home[2] - self.return_height(away, height)
             self.stage = "climb"
         if self.stage == "climb" and abs(float(core.position_ned[2] - self.target[2])) < p["NAV_MC_ALT_RAD"]:
             self.target[:2] = home[:2]

@@ -1,19 +1,21 @@
 """MAVLink frames to values and back, MAVLink 1 and 2, without shared parse state between datagrams.
 
-pymavlink supplies the message tables; packing and splitting are done here because a lockstep flight at
-20 times real time sends some 10,000 frames a second and pymavlink's own message objects cost several times
-more. Messages newer than pymavlink's tables (PX4 1.17 sends some) are added in `NEWER_MESSAGES`.
+The message tables are pymavlink's, kept in `data/messages.json` because importing them takes longer than all else that a
+stub does until it is ready; packing and splitting are done here because a lockstep flight at 20 times real time sends
+some 10,000 frames a second and pymavlink's own message objects cost several times more. Messages newer than
+pymavlink's tables (PX4 1.17 sends some) are added in `NEWER_MESSAGES`.
 """
 
 from __future__ import annotations
 
+import json
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from fastcrc.crc16 import mcrf4xx as _crc
-from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 MAVLINK1_MAGIC = 0xFE
 MAVLINK2_MAGIC = 0xFD
@@ -27,8 +29,19 @@ _BYTES = tuple(bytes((number,)) for number in range(256))
 # name -> (message id, CRC extra, wire format, field names in wire order). The CRC extras were found from
 # the checksums of frames in the PX4 1.17 capture.
 NEWER_MESSAGES: dict[str, tuple[int, int, str, tuple[str, ...]]] = {
-    "LINK_NODE_STATUS": (8, 117, "<QIIIIIHHHBBBB", ()),
-    "TIME_ESTIMATE_TO_TARGET": (380, 232, "<iiiii", ()),
+    "LINK_NODE_STATUS": (
+        8,
+        117,
+        "<QIIIIIHHHBB",
+        ("timestamp", "tx_rate", "rx_rate", "messages_sent", "messages_received", "messages_lost", "rx_parse_err",
+         "tx_overflows", "rx_overflows", "tx_buf", "rx_buf"),
+    ),
+    "TIME_ESTIMATE_TO_TARGET": (
+        380,
+        232,
+        "<iiiii",
+        ("safe_return", "land", "mission_next_item", "mission_end", "commanded_action"),
+    ),
     "EVENT": (
         410,
         160,
@@ -38,7 +51,14 @@ NEWER_MESSAGES: dict[str, tuple[int, int, str, tuple[str, ...]]] = {
     ),
     "CURRENT_EVENT_SEQUENCE": (411, 106, "<HB", ("sequence", "flags")),
     "CURRENT_MODE": (436, 193, "<IIB", ("custom_mode", "intended_custom_mode", "standard_mode")),
-    "GNSS_INTEGRITY": (441, 169, "<IHHBBBBBBBBB", ()),
+    "GNSS_INTEGRITY": (
+        441,
+        169,
+        "<IHHBBBBBBBBB",
+        ("system_errors", "raim_hfom", "raim_vfom", "id", "authentication_state", "jamming_state", "spoofing_state",
+         "raim_state", "corrections_quality", "system_status_summary", "gnss_signal_quality",
+         "post_processing_quality"),
+    ),
 }  # fmt: skip
 
 
@@ -58,22 +78,23 @@ class MessageLayout:
     """Payload length without MAVLink 2 extension fields, bytes."""
 
 
+def _field(entry: str) -> tuple[str, int]:
+    """Name and number of values of `name`, `name[4]` or, a string, `name[]`."""
+    name, bracket, count = entry.rstrip("]").partition("[")
+    return name, int(count or -1) if bracket else 0
+
+
 def _build_layouts() -> tuple[dict[str, MessageLayout], dict[int, MessageLayout]]:
+    table = (Path(__file__).parent / "data" / "messages.json").read_text(encoding="utf-8")
     by_name: dict[str, MessageLayout] = {}
-    for message_id, cls in dialect.mavlink_map.items():
-        names = tuple(cls.ordered_fieldnames)
-        # pymavlink keeps array lengths in wire order; strings are one value of the unpacked tuple.
-        lengths = []
-        for index, name in enumerate(names):
-            wire_type = cls.fieldtypes[cls.fieldnames.index(name)]
-            lengths.append(-1 if wire_type == "char" else cls.array_lengths[index])
-        by_name[cls.msgname] = MessageLayout(
-            cls.msgname, message_id, cls.crc_extra, cls.unpacker, names, tuple(lengths), cls.unpacker.size
-        )
+    for name, (message_id, extra, wire_format, entries) in json.loads(table).items():
+        packer = struct.Struct(wire_format)
+        names, lengths = zip(*(_field(entry) for entry in entries.split()), strict=True)
+        by_name[name] = MessageLayout(name, message_id, extra, packer, names, lengths, packer.size)
     for name, (message_id, extra, wire_format, names) in NEWER_MESSAGES.items():
         packer = struct.Struct(wire_format)
-        lengths = [-1 if field_name == "arguments" else 0 for field_name in names]
-        by_name[name] = MessageLayout(name, message_id, extra, packer, names, tuple(lengths), packer.size)
+        lengths = tuple(-1 if field_name == "arguments" else 0 for field_name in names)
+        by_name[name] = MessageLayout(name, message_id, extra, packer, names, lengths, packer.size)
     return by_name, {layout.message_id: layout for layout in by_name.values()}
 
 

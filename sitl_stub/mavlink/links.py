@@ -22,6 +22,7 @@ from sitl_stub.mavlink.codec import (
     Received,
     pack_fields,
 )
+from sitl_stub.mavlink.traffic import LinkTraffic
 
 Address = tuple[str, int]
 IP_RECVERR = 11  # Linux: report a refused datagram of an unconnected socket; Python names no constant for it
@@ -43,6 +44,7 @@ class Link:
         self.role = role
         """`onboard`, `gcs` or `tcp`: which default streams the firmware gives it."""
         self.counters = LinkCounters()
+        self.traffic = LinkTraffic()
         self.reader = FrameReader(self.counters)
         self.writer = FrameWriter()
         self.open = True
@@ -65,8 +67,10 @@ class Link:
         """Send one message given its values in wire order."""
         if (layout.message_id > 255 and self.writer.version == 1) or layout.message_id in self.muted:
             return
-        self.counters.sent += 1
         frame = self.writer.frame(layout, values)
+        self.counters.sent += 1
+        self.traffic.sent += 1
+        self.traffic.sent_bytes += len(frame)
         if self.outgoing is None:
             self.send_bytes(frame)
         else:
@@ -89,8 +93,10 @@ class Link:
         """Send one message whose payload is already packed."""
         if layout.message_id in self.muted:
             return
-        self.counters.sent += 1
         frame = self.writer.frame_of_payload(layout, payload)
+        self.counters.sent += 1
+        self.traffic.sent += 1
+        self.traffic.sent_bytes += len(frame)
         if self.outgoing is None:
             self.send_bytes(frame)
         else:
@@ -305,6 +311,7 @@ class TcpLink(Link):
     def send_bytes(self, frame: bytes) -> None:
         """Queue and send; frames beyond the buffer's bound are lost."""
         if len(self.waiting) > self.MOST_WAITING_BYTES:
+            self.traffic.overflows += 1
             return
         self.waiting += frame
         if not self.gathers:

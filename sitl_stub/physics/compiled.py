@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -19,15 +20,35 @@ from numba.core import config as numba_config
 F = TypeVar("F", bound=Callable[..., object])
 
 
+IMPORTED = re.compile(rb"^ *from (sitl_stub[\w.]*) import (\([^)]*\)|.*)", re.MULTILINE)
+HERE = Path(__file__).parent.parent
+
+
 @functools.cache
-def _cache_folder() -> str:
-    """Where machine code is kept: a place of its own for each state of the stub's sources.
+def _file(source: Path) -> tuple[bytes, frozenset[Path]]:
+    """Digest of a source file, and the stub's own files that it imports."""
+    text = source.read_bytes()
+    imported: set[Path] = set()
+    for module, names in IMPORTED.findall(text):
+        place = HERE.parent.joinpath(*module.decode().split("."))
+        parts = [place, *(place / name for name in re.findall(r"\w+", names.decode()))]
+        imported.update(path for path in (part.with_suffix(".py") for part in parts) if path.exists())
+    return hashlib.sha256(text).digest(), frozenset(imported)
+
+
+def _cache_folder(source: Path) -> str:
+    """Where machine code of functions in `source` is kept: a place for each state of it and of all it imports.
 
     numba notices a change in the file of a cached function, but not in the files of what it calls.
     """
+    waiting, reached = [source], {source}
+    while waiting:
+        new = _file(waiting.pop())[1] - reached
+        reached |= new
+        waiting += new
     digest = hashlib.sha256(numba.__version__.encode())
-    for source in sorted(Path(__file__).parent.parent.glob("*/*.py")):
-        digest.update(source.read_bytes())
+    for one in sorted(reached):
+        digest.update(_file(one)[0])
     base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     return str(Path(base) / "sitl-stub" / "numba" / digest.hexdigest()[:16])
 
@@ -44,7 +65,7 @@ def compiled_for_threads(function: F) -> F:
 
 def _jit(function: F, **options: Any) -> F:
     elsewhere = numba_config.CACHE_DIR  # NUMBA_CACHE_DIR, where the user set it
-    numba_config.CACHE_DIR = elsewhere or _cache_folder()
+    numba_config.CACHE_DIR = elsewhere or _cache_folder(Path(function.__code__.co_filename))
     try:
         jit = numba.njit(cache=True, fastmath=False, error_model="numpy", **options)
         return cast(F, jit(function))

@@ -11,8 +11,6 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from importlib import resources
-from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
@@ -329,8 +327,8 @@ def initial_state(
     return state
 
 
-def _shipped() -> Traversable:
-    return resources.files(__package__) / "vehicles"
+def _shipped() -> Path:
+    return Path(__file__).parent / "vehicles"
 
 
 def vehicle_names() -> list[str]:

@@ -22,6 +22,7 @@ from campaign.tape import (
     ARMED,
     BODY_RATE,
     BOX_WIDTH,
+    POSITION,
     QUATERNION,
     TICK_WIDTH,
     TIME,
@@ -38,6 +39,8 @@ AFTERWARDS_S = 90.0
 """Simulated time that an autopilot has to bring down what was left in the air."""
 HANDED_BACK_S = 6.0
 """Simulated time that a vehicle handed back is looked at."""
+STANDS_M = 0.4
+"""A vehicle not higher than this stands, and is looked at until it is disarmed."""
 LOOKING_ON_S = 180.0
 """Our time for that."""
 _STARTING_S = 60.0
@@ -179,7 +182,8 @@ def _look_on(stub: Child, tape: Tape, ended_s: float) -> None:
         box = tape.box
         if not len(box) or not box[-1, ARMED] or box[-1, TIME] - ended_s > AFTERWARDS_S:
             return
-        if box[-1, TIME] - ended_s > HANDED_BACK_S + 6.0 and rests(box[-1]) and _was_resting(box):
+        hangs = box[0, POSITION][2] - box[-1, POSITION][2] > STANDS_M and rests(box[-1])
+        if hangs and box[-1, TIME] - ended_s > HANDED_BACK_S + 6.0 and _was_resting(box):
             return
         time.sleep(0.02)
 

@@ -80,11 +80,11 @@ def _fill(row: Any, autopilot: Any) -> None:
 
 def watch_companion(tape: Tape, kill_at_s: float | None, interrupts_at_s: tuple[float, ...]) -> None:
     """In the companion's process: note ticks, and strike when the stub's black box says that it is time."""
-    from companion.flight.flight import Flight, Interrupts
     from companion.flight.phases import Phase
+    from companion.flight.stage import Interrupts, Stage
     from companion.mavlink.link import Link
 
-    answer, enter = Link.answer_timesync, Flight._enter
+    answer, enter = Link.answer_timesync, Stage.enter
     strikes = sorted([(at_s, signal.SIGINT) for at_s in interrupts_at_s])
     if kill_at_s is not None:
         strikes.append((kill_at_s, signal.SIGKILL))
@@ -95,8 +95,6 @@ def watch_companion(tape: Tape, kill_at_s: float | None, interrupts_at_s: tuple[
     def watched_answer(link: Any, question: Any) -> None:
         nonlocal struck_s, watching_until_s
         answer(link, question)
-        if question.ts1 * 1e-9 > tape.now_s + 1.0:
-            return  # at time 0 the stub's answer to our own question reads like a question
         tape.note_tick(question.ts1 * 1e-9, time.monotonic(), time.process_time())
         if tape.now_s >= watching_until_s:
             watching_until_s = math.inf
@@ -108,11 +106,11 @@ def watch_companion(tape: Tape, kill_at_s: float | None, interrupts_at_s: tuple[
                 struck_s = time.monotonic()
             os.kill(os.getpid(), number)
 
-    def watched_enter(flight: Any, phase: Phase) -> None:
+    def watched_enter(stage: Any, phase: Phase) -> None:
         nonlocal watching_until_s
         if phase is Phase.WATCH:
             watching_until_s = tape.now_s + WATCH_ENOUGH_S
-        enter(flight, phase)
+        enter(stage, phase)
 
     Link.answer_timesync = watched_answer  # type: ignore[method-assign, assignment]
-    Flight._enter = watched_enter  # type: ignore[method-assign, assignment]
+    Stage.enter = watched_enter  # type: ignore[method-assign, assignment]

@@ -357,9 +357,13 @@ def log_whole(e: Evidence) -> str:
         return f"the log lost records: {e.log_losses}"
     if not len(e.ticks):
         return KEPT
-    logged_s = next((f.unpack("<qq")[1] * 1e-9 for f in reversed(e.wire.frames) if _is_answer(f)), -math.inf)
+    answered_s = [f.unpack("<qq")[1] * 1e-9 for f in e.wire.frames if _is_answer(f)]
+    logged_s = answered_s[-1] if answered_s else -math.inf
     same = np.flatnonzero(np.abs(e.ticks[:, TICK_TIME] - logged_s) < 1e-6)
-    later = e.ticks[same[-1] + 1 :] if len(same) else e.ticks
+    times = sum(
+        abs(time_s - logged_s) < 1e-6 for time_s in answered_s
+    )  # a clock that jumps back comes by again
+    later = e.ticks[same[min(times, len(same)) - 1] + 1 :] if len(same) else e.ticks
     if not len(later):
         return KEPT
     wall_s = float(e.ticks[-1, TICK_WALL] - later[0, TICK_WALL])

@@ -1,14 +1,14 @@
 """`scripts/conformance`: fly the PX4 capture's session against the stub (or any endpoint) and print what agrees.
 
 One line a comparison: what the capture shows, what was flown, ok or different. Differences that are meant carry
-their reason. The exit code is 0 when at least 95 % agree, differences that are meant counted as such.
+their reason, and count as differences. The exit code is 0 when at least 95 % agree and every difference has a reason.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,18 +18,27 @@ import px4_scenario
 import wire_figures
 
 MEANT = {
-    "rate of LINK_NODE_STATUS": "the stub has no link statistics behind it",
-    "rate of UNKNOWN_8": "LINK_NODE_STATUS: the stub has no link statistics behind it",
-    "rate of UNKNOWN_380": "TIME_ESTIMATE_TO_TARGET: the stub has no missions",
-    "rate of GNSS_INTEGRITY": "the stub has no receiver",
-    "rate of OPEN_DRONE_ID_LOCATION": "the stub has no remote identification",
-    "rate of OPEN_DRONE_ID_SYSTEM": "the stub has no remote identification",
-    "rate of TIMESYNC": "in lockstep a request ends every instant",
     "rate of PARAM_VALUE": "the parameter list is sent at the stub's own pace",
-    "landed state 6": "the real land detector took longer, likely for the accelerometer noise of its simulator",
+    "landed state 6": "the capture's estimate went on sinking after touch-down, at up to 0.36 m/s where LNDMC_Z_VEL_MAX is "
+    "0.25 m/s, until 3 s before; the stub's stays on the ground",
     "heartbeat change 15": "follows the landing above",
-    "step roll rate t10": "lies within the gyro noise of the capture",
+    "step roll rate t10": "10 % of the step is 0.06 rad/s and the capture's gyro noise 0.14 rad/s: a draw of the noise",
 }
+LEAST_AGREEMENT = 0.95
+
+
+def flown_by_the_stub(seed: int) -> dict[str, Any]:
+    """Figures of the session flown against the stub in lockstep, with the TIMESYNC rates of one without."""
+    import timesync_rate
+
+    from sitl_stub import Stub
+
+    with Stub(vehicle="px4_sih", estimator="gps", seed=seed, lockstep=True) as stub:
+        session = px4_scenario.fly_scenario(stub.endpoint, alive=lambda: stub.running)
+    figures = wire_figures.figures(session.messages)
+    unasked, asked = timesync_rate.rates_hz("px4", (16, 30), speed=5.0)
+    figures["default_rates_hz"]["TIMESYNC"], figures["asked_rates_hz"]["TIMESYNC"] = unasked, asked
+    return figures
 
 
 @dataclass(frozen=True)
@@ -78,7 +87,7 @@ def compare(flown: dict[str, Any], captured: dict[str, Any]) -> Iterator[Line]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Fly, compare, print; 0 when 95 % or more agree."""
+    """Fly, compare, print; returns the exit code."""
     parser = argparse.ArgumentParser(
         prog="scripts/conformance", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
@@ -89,26 +98,29 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--all", action="store_true", help="print the agreements as well")
     options = parser.parse_args(arguments)
     if options.endpoint:
-        session = px4_scenario.fly_scenario(options.endpoint)
+        flown = wire_figures.figures(px4_scenario.fly_scenario(options.endpoint).messages)
     else:
-        from sitl_stub import Stub
+        flown = flown_by_the_stub(options.seed)
+    return report(compare(flown, wire_figures.capture_figures()), MEANT, "PX4", options.all)
 
-        with Stub(vehicle="px4_sih", estimator="gps", seed=options.seed, lockstep=True) as stub:
-            session = px4_scenario.fly_scenario(stub.endpoint, alive=lambda: stub.running)
-    lines = list(compare(wire_figures.figures(session.messages), wire_figures.capture_figures()))
-    meant = 0
+
+def report(lines: Iterable[Line], meant: Mapping[str, str], whose: str, everything: bool) -> int:
+    """Print what differs (or everything) and the total; 0 when 95 % agree and every difference has a reason."""
+    lines = list(lines)
+    unexplained = 0
     for line in lines:
-        reason = "" if line.agrees else MEANT.get(line.what, "")
-        meant += bool(reason)
-        if options.all or not line.agrees:
+        reason = "" if line.agrees else meant.get(line.what, "")
+        unexplained += not (line.agrees or reason)
+        if everything or not line.agrees:
             verdict = "ok" if line.agrees else f"meant: {reason}" if reason else "DIFFERENT"
-            print(f"{line.what:34} {line.captured:>34} {line.flown:>34}  {verdict}")
+            print(f"{line.what:34} {line.captured:>44} {line.flown:>44}  {verdict}")
     agreed = sum(line.agrees for line in lines)
-    share = (agreed + meant) / len(lines)
+    differ = len(lines) - agreed
     print(
-        f"{agreed} of {len(lines)} agree with the PX4 capture, {meant} differ with a reason: {100 * share:.1f} %"
+        f"{agreed} of {len(lines)} agree with the {whose} capture: {100 * agreed / len(lines):.1f} %. "
+        f"{differ} differ, {differ - unexplained} of them with a reason"
     )
-    return 0 if share >= 0.95 else 1
+    return 0 if agreed >= LEAST_AGREEMENT * len(lines) and not unexplained else 1
 
 
 if __name__ == "__main__":

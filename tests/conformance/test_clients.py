@@ -179,7 +179,7 @@ def test_a_restarted_stub_is_found_again_at_its_address() -> None:
 
 
 SIDE_BY_SIDE = int(os.environ.get("STUBS_SIDE_BY_SIDE", "6"))
-"""How many stubs are started together; 20 take two minutes of processor time, so that is for who asks for it."""
+"""How many stubs are started together; each costs a second of processor time, so 20 are for who asks for them."""
 
 
 @pytest.mark.timeout(900)

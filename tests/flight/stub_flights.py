@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from companion.config.settings import load_settings
-from companion.flight.flight import FlightResult
 from companion.flight.phases import Phase
 from companion.flight.reporter import Reporter
 from companion.flight.session import SessionOptions, fly
+from companion.flight.stage import FlightResult
 from companion.flightlog.reader import FlightRecord, read_log
 from companion.mavlink.connection import Connection
 from companion.mavlink.endpoint import parse_endpoint
@@ -134,6 +134,10 @@ class Pilot:
     def mode(self, main: int, sub: int) -> None:
         """Switch PX4's mode."""
         self.command(mav.MAV_CMD_DO_SET_MODE, 1.0, main, sub)
+
+    def stop_motors(self) -> None:
+        """Disarm, with the magic number that works in the air too."""
+        self.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, 21196.0)
 
     def close(self) -> None:
         self._socket.close()

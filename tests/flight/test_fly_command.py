@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 from stub_flights import companion_process, fly_short, lockstep_stub
 
 from companion.analysis.metrics import flight_metrics
@@ -64,6 +67,9 @@ def test_the_json_has_what_it_promises(plain):
     assert result["mass_ratio"] == pytest.approx(0.7)
     assert str(result["seed"]) == "1"
     assert result["log"] == log.name
+    attitude = result["streams"]["ATTITUDE_QUATERNION"]
+    assert attitude["rate_hz"] == pytest.approx(100.0, rel=0.05)
+    assert attitude["age_s"] is None  # simulated time is not ours
 
 
 def test_the_json_is_what_the_log_says(plain):
@@ -96,32 +102,61 @@ def test_the_log_holds_all_of_the_flight(plain):
 # Levels and repeatability -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("firmware", "level"), [("px4", "attitude"), ("px4", "body_rate"), ("px4-1.13", "actuator")]
-)
-def test_every_level_flies_and_the_same_seed_gives_the_same_log(tmp_path, firmware, level):
-    flights = []
-    for name in ("first", "second"):
-        folder = tmp_path / name
-        folder.mkdir()
-        with lockstep_stub(firmware=firmware, seed=7) as stub:
-            flights.append(fly_short(stub, folder, level=level))
-    first, second = flights
-    assert first.result.outcome is second.result.outcome is Outcome.COMPLETED
-    metrics, _ = flight_metrics(first.record, None, None)
-    assert max(metrics.to_json()["rms"]["position_truth_m"]) < 0.1
-    assert differences(first.log, second.log) == []
-    assert digest(first.log) == digest(second.log)
+def flown_with(folder, firmware="px4", level="attitude", seed=7):
+    folder.mkdir(exist_ok=True)
+    with lockstep_stub(firmware=firmware, seed=seed) as stub:
+        return fly_short(stub, folder, level=level)
 
 
-def test_another_seed_of_the_stub_gives_another_log(tmp_path):
-    logs = []
-    for seed in (7, 8):
-        folder = tmp_path / str(seed)
-        folder.mkdir()
-        with lockstep_stub(seed=seed) as stub:
-            logs.append(fly_short(stub, folder).log)
-    assert digest(logs[0]) != digest(logs[1])
+@pytest.fixture(scope="module")
+def short(tmp_path_factory):
+    """A short flight at the attitude level with seed 7."""
+    return flown_with(tmp_path_factory.mktemp("short"))
+
+
+def test_the_same_seed_gives_the_same_log(tmp_path, short):
+    """At every level with both libraries: test_one_command.py."""
+    again = flown_with(tmp_path)
+    assert short.result.outcome is again.result.outcome is Outcome.COMPLETED
+    assert differences(short.log, again.log) == []
+    assert digest(short.log) == digest(again.log)
+
+
+@pytest.mark.parametrize(("firmware", "level"), [("px4", "body_rate"), ("px4-1.13", "actuator")])
+def test_the_other_levels_track_as_well(tmp_path, firmware, level, short):
+    for flown in (short, flown_with(tmp_path, firmware, level)):
+        assert flown.result.outcome is Outcome.COMPLETED
+        metrics, _ = flight_metrics(flown.record, None, None)
+        assert max(metrics.to_json()["rms"]["position_truth_m"]) < 0.1
+
+
+def test_another_seed_of_the_stub_gives_another_log(tmp_path, short):
+    assert digest(short.log) != digest(flown_with(tmp_path, seed=8).log)
+
+
+def test_an_exported_flight_is_read_by_mavlogdump(tmp_path, short):
+    """pymavlink's own tool finds every message of the flight, of both sides."""
+    log, exported = short.log, tmp_path / "flight.tlog"
+    code, said, errors = run("export", str(log), "-o", str(exported), folder=tmp_path)
+    assert code == 0, errors
+    record = read_log(log)
+    frames = [frame for direction in ("in", "out") for frame in record.mavlink[direction][1]]
+    assert str(len(frames)) in said
+    numbers = Counter(int.from_bytes(frame[7:10], "little") for frame in frames)
+    names = ["HEARTBEAT", "COMMAND_LONG", "COMMAND_ACK", "SET_ATTITUDE_TARGET", "ATTITUDE_TARGET"]
+    ids = {cls.msgname: number for number, cls in dialect.mavlink_map.items()}
+    types = ("--format", "json", "--types", ",".join(names))
+    dump = subprocess.run(
+        [sys.executable, "-m", "pymavlink.tools.mavlogdump", *types, exported],
+        capture_output=True,
+        text=True,
+        timeout=280,
+        check=True,
+        env={**os.environ, "MAVLINK20": "1"},
+    )
+    found = Counter(json.loads(line)["meta"]["type"] for line in dump.stdout.splitlines())
+    assert found == {name: numbers[ids[name]] for name in names}
+    assert min(found.values()) > 0
 
 
 def test_actuator_controls_on_new_firmware_are_refused_on_the_ground(tmp_path):
@@ -140,6 +175,7 @@ def test_actuator_controls_on_new_firmware_are_refused_on_the_ground(tmp_path):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
 def test_a_signal_lands_and_the_result_is_printed(tmp_path, number):
     arguments = ["fly", "--sitl", "px4", "--duration", "200", "--log", "flight.mcap", "--json"]
+    arguments += ["--trajectory", "hover", "--set", "flight.procedure.hold_s=0.2"]
     with companion_process(arguments, tmp_path) as companion:
         companion.until_said("[track]")
         companion.process.send_signal(number)

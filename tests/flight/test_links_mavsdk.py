@@ -86,6 +86,20 @@ def test_another_mavsdk_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("installed")
+def test_a_simulator_that_is_started_later_is_connected_to() -> None:
+    import socket
+
+    port = free_port()
+    link = Connection(parse_endpoint(f"tcp:127.0.0.1:{port}"), LinkLibrary.MAVSDK).open()
+    try:
+        with socket.create_server(("127.0.0.1", port)) as listener:
+            listener.settimeout(30.0)
+            listener.accept()[0].close()
+    finally:
+        link.close()
+
+
+@pytest.mark.usefixtures("installed")
 def test_a_taken_port_is_an_error_of_one_line() -> None:
     import socket
 

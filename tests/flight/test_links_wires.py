@@ -4,6 +4,7 @@ import os
 import re
 import threading
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -29,6 +30,33 @@ def test_a_broken_tcp_connection_is_opened_again_and_the_flight_goes_on(tmp_path
     assert wire.accepted == 3
     told = [line for line in flown.lines if line.startswith("endpoint tcp:")]
     assert [line.split("; ")[-1].split(": ")[-1][:9] for line in told] == ["trying to", "connected"] * 2
+
+
+def test_a_simulator_that_is_started_later_is_waited_for(tmp_path: Path) -> None:
+    wire = TcpWire()
+    port = wire.port
+    wire.close()  # nobody listens there now
+    late: list[TcpWire] = []
+
+    with ExitStack() as stack:
+
+        def start() -> None:
+            late.append(TcpWire(port))
+            stack.enter_context(Relay(stack.enter_context(stub_behind()), late[0]))
+
+        at = {Phase.CONNECT: lambda: threading.Timer(0.7, start).start()}
+        flown = companion(f"tcp:127.0.0.1:{port}", tmp_path, at=at)
+    assert flown.outcome == "completed", flown.text
+    told = [line for line in flown.lines if line.startswith("endpoint tcp:")]
+    assert "nobody listens there yet; waiting" in told[0] and "connected after" in told[1]
+
+
+def test_a_simulator_that_never_comes_is_one_line(tmp_path: Path) -> None:
+    port = free_port()
+    with pytest.raises(
+        UserError, match=r"no autopilot within 1 s; nobody listens there; is the autopilot or sim"
+    ):
+        companion(f"tcp:127.0.0.1:{port}", tmp_path, settings={"procedure.connect_timeout_s": 1.0})
 
 
 def test_a_tcp_connection_that_stays_away_ends_the_flight_in_words(tmp_path: Path) -> None:

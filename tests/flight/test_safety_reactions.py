@@ -198,6 +198,9 @@ def spoiled_positions(monkeypatch, spoil) -> list[int]:
 
     def take(self, message):
         if on and message.get_msgId() == mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED:
+            assert math.isfinite(
+                message.x
+            )  # a message reads all its fields at once: after that they may be changed
             spoil(message)
         return sound(self, message)
 

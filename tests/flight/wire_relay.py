@@ -68,8 +68,8 @@ class UdpWire:
 class TcpWire:
     """A TCP server, as ArduPilot's simulation is. `drop()` ends the connection; the next client is taken again."""
 
-    def __init__(self) -> None:
-        self.listener = socket.create_server(("127.0.0.1", 0))
+    def __init__(self, port: int = 0) -> None:
+        self.listener = socket.create_server(("127.0.0.1", port))
         self.port = int(self.listener.getsockname()[1])
         self.connection: socket.socket | None = None
         self.accepted = 0

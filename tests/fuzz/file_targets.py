@@ -1,15 +1,18 @@
-"""Fuzz targets that are files and words of the user: configuration, trajectories, logs.
+"""Fuzz targets that are files and words of the user: configuration, trajectories, logs, and the stub's scenarios.
 
-Whatever is in them, the only thing raised is `UserError`, and what is accepted can be flown.
+Whatever is in them, the only thing raised is `UserError` (of the stub `FaultError`), and what is accepted can be flown.
 """
 
 from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+
+MOST_FAULTS = 20  # of an input that are made to happen
 
 
 def _file(folder: Path, name: str, data: bytes) -> Path:
@@ -158,3 +161,56 @@ def log_seeds() -> list[bytes]:
         log.event("phase", 0.02, phase="track")
     data = path.read_bytes()
     return [data, data[: len(data) // 2], data[:-9], data[:40]]
+
+
+def scenarios() -> Callable[[bytes], None]:
+    """A scenario's TOML; first byte: odd for ArduPilot. What is accepted happens, all at once, as it boots."""
+    from sitl_stub.faults.director import FaultDirector
+    from sitl_stub.faults.fault import FaultError
+    from sitl_stub.faults.scenario import Target, read_scenario
+    from sitl_stub.firmware.ardupilot_build import build_ardupilot
+    from sitl_stub.firmware.px4_build import build_px4
+    from sitl_stub.mavlink.links import MemoryLink
+    from sitl_stub.physics.vehicle import load_vehicle
+
+    folder = Path(tempfile.mkdtemp())
+    vehicle = load_vehicle("qball2")
+    builds = {"px4": build_px4, "ardupilot": build_ardupilot}
+
+    def take(data: bytes) -> None:
+        firmware = "ardupilot" if data[:1] and data[0] & 1 else "px4"
+        try:
+            scenario = read_scenario(_file(folder, "faults.toml", data[1:]), Target(firmware, vehicle))
+        except FaultError as error:
+            assert error.problems and all(error.problems)
+            return
+        autopilot, link = builds[firmware](vehicle=vehicle), MemoryLink()
+        autopilot.attach(link)
+        now = [replace(entry, after="start", at_s=0.0) for entry in scenario.entries[:MOST_FAULTS]]
+        director = FaultDirector(autopilot, replace(scenario, entries=tuple(now)))
+        autopilot.advance_to(100_000)
+        director.clear()
+        autopilot.advance_to(autopilot.time_us + 20_000)
+        assert np.isfinite(autopilot.core.state).all(), "the vehicle's true state is not finite"
+
+    return take
+
+
+def scenario_seeds() -> list[bytes]:
+    """Every kind of fault with its defaults and with the ends of its ranges, alone and all in one."""
+    from sitl_stub.faults.registry import KINDS, toml_value
+
+    seeds = []
+    for name, kind in KINDS.items():
+        head = f'[[fault]]\nkind = "{name}"\nat_s = 0.0\n'
+        plain = head + "".join(f"{key} = {toml_value(value)}\n" for key, value in kind.defaults().items())
+        ends = {key: (facts.least, facts.most) for key, facts in kind.parameters().items()}
+        extreme = [
+            head + "".join(f"{key} = {pair[end]:g}\n" for key, pair in ends.items() if pair != (0.0, 0.0))
+            for end in (0, 1)
+        ]
+        lasting = "" if kind.momentary else "for_s = 0.05\n"
+        seeds += [text.encode() for text in (plain + lasting, *extreme)]
+    top = b"seed = 7\nannounce = true\n\n"
+    seeds.append(top + b"\n".join(seeds[:12:3]))
+    return [bytes((firmware,)) + seed for seed in seeds for firmware in (0, 1)]

@@ -69,6 +69,7 @@ TARGETS = {
         "file_targets", "configuration", "configuration_seeds", (), ("companion.config",)
     ),
     "trajectories": Target("file_targets", "trajectories", "trajectory_seeds", (), ("companion.reference",)),
+    "scenarios": Target("file_targets", "scenarios", "scenario_seeds", (), ("sitl_stub.faults",)),
     "logs": Target("file_targets", "logs", "log_seeds", (), ("companion.flightlog", "mcap")),
 }
 
@@ -120,8 +121,9 @@ def guided(target: Target, seconds: int, seed: int, corpus: Path) -> None:
 
     for name in _compiled_modules(target.instrumented):
         importlib.import_module(name)
+    programs = tuple({package.split(".")[0] for package in target.instrumented})
     with atheris.instrument_imports(
-        include=list(target.instrumented), exclude=_compiled_modules(target.instrumented)
+        include=list(target.instrumented), exclude=_compiled_modules((*programs, *target.instrumented))
     ):
         take, seeds = target.prepare()
     for index, data in enumerate(seeds):

@@ -12,7 +12,7 @@ HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
 from fuzz import TARGETS, mutated  # noqa: E402
 
-MUTATIONS = {"stub-px4": 60, "stub-ardupilot": 60, "configuration": 40}
+MUTATIONS = {"stub-px4": 60, "stub-ardupilot": 60, "configuration": 40, "scenarios": 30}
 
 
 @pytest.mark.parametrize("name", TARGETS)

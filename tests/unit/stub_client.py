@@ -30,6 +30,7 @@ class MemoryClient:
 
     def send(self, message: Any) -> None:
         frame = message.pack(self.packer, force_mavlink1=self.mavlink1)
+        self.packer.seq = (self.packer.seq + 1) & 0xFF
         for decoded in self.link.reader.read_datagram(bytes(frame)):
             self.autopilot.handle(self.link, decoded)
 

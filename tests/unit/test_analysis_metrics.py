@@ -18,7 +18,7 @@ from companion.analysis.rotation import euler_from_quaternions, wrap_angle
 from companion.analysis.tracking import tracking_errors, tracking_span
 from companion.cli import analyze, export, recover
 from companion.config.errors import UserError
-from companion.flightlog.channels import REFERENCE, STATE, TRUTH
+from companion.flightlog.channels import REFERENCE, STATE, STREAMS, TRUTH
 from companion.flightlog.reader import read_log
 from companion.flightlog.writer import FlightLog
 
@@ -229,3 +229,16 @@ def test_wrapped_angles_are_the_same_angles_within_half_a_turn(angle):
     wrapped = float(wrap_angle(np.array(angle)))
     assert -np.pi < wrapped <= np.pi
     assert np.exp(1j * wrapped) == pytest.approx(np.exp(1j * angle), abs=1e-9)
+
+
+def test_streams_are_summed_up_over_the_flight(tmp_path):
+    with FlightLog(tmp_path / "a.mcap", {"controller": "dtlannc"}) as log:
+        streams = log.define(STREAMS)
+        for second, age_s in enumerate((0.01, 0.02, 0.09)):
+            log.record(streams, float(second), 31.0, 100.0, 0.001, age_s, 2.0 * age_s)
+            log.record(streams, float(second), 32.0, 30.0, np.nan, np.nan, np.nan)
+    found = flight_metrics(read_log(tmp_path / "a.mcap"))[0].to_json()["streams"]
+    assert found == {
+        "ATTITUDE_QUATERNION": {"rate_hz": 100.0, "jitter_s": 0.001, "age_s": 0.02, "age_95_s": 0.04},
+        "LOCAL_POSITION_NED": {"rate_hz": 30.0, "jitter_s": None, "age_s": None, "age_95_s": None},
+    }

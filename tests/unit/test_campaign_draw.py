@@ -11,10 +11,11 @@ import pytest
 from campaign.__main__ import main
 from campaign.draw import FIRMWARES, planned
 from campaign.faults import KINDS, scenario
+from campaign.flying import _look_on
 from campaign.planted import DEFECTS, candidates
 from campaign.result import Result
 from campaign.tally import BLOCKS, Tally, put_between_markers, read_results
-from campaign.tape import BOX_WIDTH, Tape
+from campaign.tape import ARMED, BOX_WIDTH, POSITION, QUATERNION, TIME, Tape
 from campaign.wire import armed_of, command_of, is_ours, mode_of, read_wire, setpoint_numbers
 from campaign_evidence import OFFBOARD, command, heartbeat, setpoint
 
@@ -135,3 +136,29 @@ def test_wrong_input_is_one_line(words: list[str], reason: str, capsys: pytest.C
     assert main(words) == 2
     told = capsys.readouterr().err.strip().splitlines()
     assert len(told) == 1 and reason in told[0]
+
+
+class StubFlyingOn:
+    """Stands in for the stub's process: goes on by a second each time it is looked at, and disarms 25 s after the end."""
+
+    def __init__(self, tape: Tape, height_m: float) -> None:
+        self.tape, self.height_m, self.time_s = tape, height_m, 0.0
+
+    def poll(self) -> None:
+        for _ in range(10):
+            row = np.zeros(BOX_WIDTH)
+            row[TIME], row[ARMED] = self.time_s, self.time_s < 30.0
+            row[POSITION] = 0.0, 0.0, -self.height_m * (self.time_s > 0.0)
+            row[QUATERNION] = 1.0, 0.0, 0.0, 0.0
+            self.tape.note_vehicle(row)
+            self.time_s += 0.1
+
+
+@pytest.mark.parametrize(("height_m", "armed", "until_s"), [(0.0, 0.0, 30.0), (1.0, 1.0, 17.0)])
+def test_a_vehicle_that_stands_is_looked_at_until_it_disarms_one_that_hangs_is_not(
+    height_m: float, armed: float, until_s: float
+) -> None:
+    tape = Tape()
+    _look_on(StubFlyingOn(tape, height_m), tape, 5.0)  # type: ignore[arg-type]
+    assert tape.box[-1, ARMED] == armed
+    assert tape.now_s == pytest.approx(until_s, abs=1.0)

@@ -286,6 +286,19 @@ def test_what_a_killed_flights_log_may_lose() -> None:
     )
 
 
+def test_a_clock_that_jumps_back_does_not_hide_what_a_log_lost() -> None:
+    """The clock passes 20 s twice, the log ends at the first time: what came after is lost."""
+    ticks = good().ticks.copy()
+    ticks[2200:, 0] -= 3.0
+    evidence = good(
+        planned=replace(PLAN, kill_at_s=16.0),
+        code=-9,
+        ticks=ticks[:2310],  # killed as the clock comes by 20.09 s again
+        frames=[*flight_frames(), *answers(20.0)],
+    )
+    assert "the log lost the last 3.0" in said("log whole", evidence)
+
+
 @pytest.mark.parametrize(
     "changes",
     [

@@ -68,7 +68,7 @@ def companion_parser() -> argparse.ArgumentParser:
 
 
 def stub_parser() -> argparse.ArgumentParser:
-    return importlib.import_module("sitl_stub.cli")._parser()
+    return importlib.import_module("sitl_stub.arguments").parser()
 
 
 def parsed(parser: argparse.ArgumentParser, words: list[str], shown: str) -> argparse.Namespace | None:

@@ -14,6 +14,7 @@ from sitl_stub.faults.fault import FaultError
 from sitl_stub.faults.scenario import Target, entry_from, scenario_from
 from sitl_stub.firmware import ardupilot_layout as at
 from sitl_stub.firmware.ardupilot_modes import Mode as ArduMode
+from sitl_stub.firmware.px4_events import event_number
 from sitl_stub.firmware.px4_modes import Mode as Px4Mode
 from sitl_stub.physics.vehicle import load_vehicle
 
@@ -217,16 +218,21 @@ def test_invalid_flags_land_ardupilot_after_a_second() -> None:
     assert client.autopilot.mode is ArduMode.GUIDED
     client.advance(0.2)
     assert texts(client) == ["EKF variance", "EKF Failsafe: changed to LAND Mode"]
-    client.advance(15.0)
+    client.advance(3.0)
+    assert client.height_m == pytest.approx(5.0, abs=0.3)  # LAND begins with a pause of 4 s
+    client.advance(16.0)
     assert not client.autopilot.armed and client.height_m < 0.05
 
 
 @pytest.mark.parametrize("action", [0, 2])
 def test_other_actions_on_a_lost_estimate(action: int) -> None:
     client = flying_ardupilot(parameters={"FS_EKF_ACTION": action})
-    inject(client, "estimator_invalid")
-    client.advance(1.5)
+    inject(client, "estimator_invalid", for_s=1.5)
+    client.advance(1.4)
     assert client.autopilot.mode is (ArduMode.GUIDED, None, ArduMode.ALT_HOLD)[action]
+    client.advance(2.0)
+    acted = ("EKF Failsafe", "", "EKF Failsafe: changed to ALT_HOLD Mode")[action]
+    assert texts(client) == ["EKF variance", acted, "EKF Failsafe Cleared"]
 
 
 def test_lost_gps_shows_at_once_and_flags_go_later() -> None:
@@ -261,7 +267,12 @@ def test_lost_gps_of_ardupilot_ends_in_its_failsafe() -> None:
     assert [m.fix_type for m in seen if m.name == "GPS_RAW_INT"][-1] == 1
     assert not [m for m in seen if m.name == "SYS_STATUS"][-1].onboard_control_sensors_health & 32
     client.advance(5.5)
+    assert client.autopilot.mode is ArduMode.GUIDED
+    client.advance(2.0)  # 7 s until EKF3 gives the position up, one more until ArduCopter acts
     assert client.autopilot.mode is ArduMode.LAND
+    client.take()
+    client.advance(7.0)
+    assert texts(client) == ["EKF3 IMU0 stopped aiding", "EKF3 IMU1 stopped aiding"]
 
 
 # --- pilot --------------------------------------------------------------------------------------------------------
@@ -395,8 +406,12 @@ def test_battery_failsafe_of_px4(remaining: float, mode: Px4Mode, charge_state: 
     assert status.battery_remaining == round(100 * remaining)
     assert status.voltage_battery < 0.9 * volts
     assert [m for m in seen if m.name == "BATTERY_STATUS"][-1].charge_state == charge_state
-    assert px4_mode_of(seen) is mode
+    assert px4_mode_of(seen) is Px4Mode.LOITER  # COM_FAIL_ACT_T: the pilot may step in
     assert [m for m in seen if m.name == "HEARTBEAT"][-1].system_status == 5
+    (event,) = [m for m in seen if m.name == "EVENT"]
+    assert event.id == event_number("commander_failsafe_enter_hold")
+    stay(client, 5.0)
+    assert px4_mode(client) is mode
 
 
 def test_px4_may_be_told_only_to_warn_and_may_be_taken_back() -> None:
@@ -405,8 +420,8 @@ def test_px4_may_be_told_only_to_warn_and_may_be_taken_back() -> None:
     stay(client, 1.5)
     assert px4_mode(client) is Px4Mode.OFFBOARD
     client = flying_px4()
-    inject(client, "battery_critical", remaining=0.06, for_s=4.0)
-    stay(client, 1.5)
+    inject(client, "battery_critical", remaining=0.06, for_s=8.0)
+    stay(client, 6.0)
     assert px4_mode(client) is Px4Mode.RTL
     assert client.command(176, 1, 6) == [0, 0]
     stay(client, 1.1)
@@ -424,9 +439,30 @@ def test_battery_failsafe_of_ardupilot_after_its_timer() -> None:
     seen = client.take()
     assert [m for m in seen if m.name == "SYS_STATUS"][-1].voltage_battery < 10_500
     assert [m for m in seen if m.name == "BATTERY_STATUS"][-1].charge_state == 2
-    said = [m.text for m in seen if m.name == "STATUSTEXT"]
-    assert any(text.startswith("Battery 1 is low ") for text in said), said
+    said = [m.text for m in seen if m.name == "STATUSTEXT" and not m.text.startswith("fault:")]
+    assert said[0].startswith("Battery 1 is low ") and said[1:] == ["Battery Failsafe"]
     assert client.autopilot.mode is ArduMode.LAND
+    client.advance(20.0)
+    assert not client.autopilot.armed
+    assert client.command(176, 1, ArduMode.GUIDED.number) == [0]
+    assert client.command(400, 1) == [4]
+    client.advance(0.1)
+    assert texts(client)[-2:] == ["Arm: Battery 1 low voltage failsafe", "Arm: Battery failsafe"]
+
+
+def test_a_lost_ground_station_of_ardupilot() -> None:
+    client = flying_ardupilot(parameters={"FS_GCS_ENABLE": 1, "FS_OPTIONS": 0})
+    beat = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3)
+    client.advance(3.0, every=lambda: client.send(beat))
+    client.take()
+    client.advance(4.9)
+    assert client.autopilot.mode is ArduMode.GUIDED
+    client.advance(0.6)
+    assert client.autopilot.mode is ArduMode.RTL
+    client.send(beat)
+    client.advance(0.5)
+    assert texts(client) == ["GCS Failsafe", "GCS Failsafe Cleared"]
+    assert client.autopilot.mode is ArduMode.RTL
 
 
 def test_sagging_battery_takes_thrust_and_gives_it_back() -> None:

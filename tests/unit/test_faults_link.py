@@ -102,7 +102,7 @@ def test_jitter_varies_the_lateness_within_its_bound_in_order() -> None:
     client = px4({"kind": "link_jitter", "jitter_s": 0.05, "direction": "to_client"})
     seen = times_of(client, 3.0)
     late = [now - own for now, own in seen]
-    assert 0.0 <= min(late) < 0.015 and 0.035 < max(late) <= 0.0511
+    assert 0.0 <= min(late) < 0.025 and 0.035 < max(late) <= 0.0511
     assert [own for _, own in seen] == sorted(own for _, own in seen)
 
 
@@ -184,11 +184,15 @@ def test_lost_parameters_leave_holes_that_a_read_fills() -> None:
     ids=lambda fault: fault["kind"],
 )
 def test_the_seed_decides(fault: dict[str, Any]) -> None:
-    def frames(seed: int) -> list[bytes]:
+    def frames(seed: int) -> list[list[bytes]]:
+        """What has come by each of 100 moments."""
         client = with_faults(MemoryClient(), fault, seed=seed)
         client.send(mavlink.MAVLink_param_request_list_message(1, 1))
-        client.advance(1.0)
-        return client.link.frames
+        moments = []
+        for _ in range(100):
+            client.advance(0.01)
+            moments.append(list(client.link.frames))
+        return moments
 
     first = frames(1)
     assert frames(1) == first

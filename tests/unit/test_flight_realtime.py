@@ -20,6 +20,10 @@ class Libc:
         self.asked.append(flags)
         return self.result
 
+    def munlockall(self) -> int:
+        self.asked.append(0)
+        return self.result
+
 
 @pytest.fixture
 def thawed():
@@ -39,6 +43,10 @@ def test_where_all_is_allowed_nothing_is_said(monkeypatch) -> None:
     assert asked == [(os.SCHED_FIFO, realtime.FIFO_PRIORITY)]
     assert libc.asked == [1 | 2]  # MCL_CURRENT, MCL_FUTURE
     assert gc.get_freeze_count() > 0
+    realtime.restore()
+    assert asked[-1] == (os.SCHED_OTHER, 0)
+    assert libc.asked[-1] == 0
+    assert gc.get_freeze_count() == 0
 
 
 @pytest.mark.usefixtures("thawed")

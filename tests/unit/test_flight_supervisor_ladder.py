@@ -156,7 +156,7 @@ def test_every_limit_is_noticed_within_its_time(name, reaction, at, for_s):
     for _ in range(30):
         assert scene.step().reaction is Reaction.NONE
     PROVOCATIONS[name](scene, just_beyond(name, at, QUANTITIES[name].below))
-    filters_s = {"link_loss": 2.0, "lyapunov_rise": 8.0, "position_stuck_s": at}
+    filters_s = {"link_loss": 2.0, "lyapunov_rise": 8.0, "position_stuck_s": at, "velocity_mismatch": 0.6}
     deadline_s = scene.time_s + for_s + filters_s.get(name, 0.0) + 0.12  # slow ones are looked at every 0.1 s
     began_s = scene.time_s
     while scene.step().reaction < reaction:
@@ -183,6 +183,12 @@ def test_our_own_clock_counts_in_real_time_only():
     scene = Scene(SafetyLimits(), real_time=False)
     scene.overrun_share, scene.link.timesync.round_trip_s = 1.0, 3.0
     assert {scene.step().reaction for _ in range(600)} == {Reaction.NONE}
+
+
+def test_a_simulations_round_trip_is_judged_in_its_own_time():
+    scene = Scene(SafetyLimits(), real_time=False)
+    scene.link.timesync.autopilot_trip_s = 0.16
+    assert [scene.step().reaction for _ in range(600)][-1] is Reaction.LAND
 
 
 def test_a_silent_state_is_noticed_by_the_autopilots_time_alone():

@@ -410,3 +410,39 @@ def test_an_autopilot_that_never_pauses_and_asks_nothing_still_hears_us(wire):
     sent = kinds(decoded(transport.sent))
     assert sent.count("TIMESYNC") == pytest.approx(30, abs=2)
     assert sent.count("HEARTBEAT") == pytest.approx(4, abs=1)
+
+
+ARMED = mav.MAV_MODE_FLAG_SAFETY_ARMED
+
+
+def _disarmed_by(wire, base_modes):
+    """The autopilot's time at which `disarmed_for(1.0)` is satisfied; a HEARTBEAT every 0.1 s says `base_modes`."""
+    transport, link, _, autopilot = wire
+    vehicle = Vehicle(link, silence_limit_s=1.0)
+    for step, base_mode in enumerate(base_modes):
+        transport.waiting.append(autopilot.frame(heartbeat(base_mode=base_mode)))
+        transport.waiting.append(autopilot.frame(attitude(5000 + 100 * step)))
+    vehicle.until(lambda: vehicle.status.armed)
+    vehicle.until(vehicle.disarmed_for(1.0))
+    return link.autopilot_time_s
+
+
+def test_a_heartbeat_that_was_held_up_is_not_taken_for_a_disarming(wire):
+    held_up = [ARMED] * 3 + [0] + [ARMED] * 20 + [0] * 20
+    assert _disarmed_by(wire, held_up) == pytest.approx(5.0 + 2.4 + 1.0, abs=0.11)
+
+
+def test_the_round_trip_is_known_in_the_autopilots_time(wire):
+    """A simulation in lockstep: 150 ms on its clock are 1 ms of ours."""
+    transport, link, clock, autopilot = wire
+    transport.waiting.append(autopilot.frame(heartbeat()))
+    transport.waiting.append(autopilot.frame(attitude(10_000)))
+    all_messages(link)
+    link.keep_alive()
+    (question,) = [message for message in decoded(transport.sent) if message.get_type() == "TIMESYNC"]
+    clock.advance(0.001)
+    transport.waiting.append(autopilot.frame(attitude(10_150)))
+    transport.waiting.append(autopilot.frame(mav.MAVLink_timesync_message(10_075_000_000, question.ts1)))
+    all_messages(link)
+    assert link.timesync.round_trip_s == pytest.approx(0.001)
+    assert link.timesync.autopilot_trip_s == pytest.approx(0.15)

@@ -11,13 +11,31 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from sitl_stub.mavlink.codec import LAYOUTS, FrameReader, FrameWriter, LinkCounters, pack_fields
+from sitl_stub.mavlink.codec import (
+    LAYOUTS,
+    NEWER_MESSAGES,
+    FrameReader,
+    FrameWriter,
+    LinkCounters,
+    pack_fields,
+)
 
 unit = st.floats(-1e6, 1e6, width=32)
 
 
 def _attitude(time_ms: int = 5, roll: float = 0.25) -> mavlink.MAVLink_attitude_message:
     return mavlink.MAVLink_attitude_message(time_ms, roll, -0.5, 1.5, 0.0, 0.125, 0.0)
+
+
+def test_the_message_table_is_pymavlinks() -> None:
+    """Where this fails after an update of pymavlink: python scripts/message_table.py."""
+    for message_id, cls in mavlink.mavlink_map.items():
+        layout = LAYOUTS[cls.msgname]
+        assert (layout.message_id, layout.crc_extra) == (message_id, cls.crc_extra)
+        assert (layout.packer.format, layout.fields) == (cls.unpacker.format, tuple(cls.ordered_fieldnames))
+        types = dict(zip(cls.fieldnames, cls.fieldtypes, strict=True))
+        lengths = zip(cls.ordered_fieldnames, cls.array_lengths, strict=True)
+        assert layout.array_lengths == tuple(-1 if types[name] == "char" else n for name, n in lengths)
 
 
 @given(st.lists(unit, min_size=4, max_size=4), unit, st.integers(0, 255), st.booleans())
@@ -85,7 +103,7 @@ def test_mavlink1_payload_lengths_are_pymavlinks_for_every_message_it_sends() ->
 
     for definition in build_px4().streams.definitions.values():
         layout = definition.layout
-        if layout.message_id > 255:
+        if layout.message_id > 255 or layout.name in NEWER_MESSAGES:
             continue
         zeros = layout.packer.unpack(bytes(layout.packer.size))
         ours = FrameWriter(1, 1, 1).frame(layout, zeros)
