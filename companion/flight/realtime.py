@@ -14,6 +14,7 @@ from collections.abc import Callable
 from contextlib import suppress
 
 FIFO_PRIORITY = 50
+YOUNG_OBJECTS = 5000  # a pass over so many takes 0.3 ms
 _MCL_CURRENT_AND_FUTURE = 3
 
 
@@ -48,9 +49,14 @@ def restore() -> None:
 
 
 def freeze_collector() -> None:
-    """Take all that is alive now out of the garbage collector's sight, so that no pass over it happens in flight."""
+    """Take all that is alive now out of the garbage collector's sight, so that no pass over it happens in flight.
+
+    And let it look at what is new less often: a simulation in lockstep has a thousand records wait for the log's writer,
+    and to go through them after every 700 costs more than anything it finds.
+    """
     gc.collect()
     gc.freeze()
+    gc.set_threshold(YOUNG_OBJECTS)
 
 
 class LoopWatchdog:
