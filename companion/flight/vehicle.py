@@ -70,6 +70,7 @@ class Vehicle:
             LinkLost: after `silence_limit_s` without a message (our clock).
             FlightEnd: whatever `watch` or `on_state` raise.
         """
+        self._pass_notices()  # where messages never pause, there is no other time for them
         link, bounded = self.link, timeout_s < math.inf
         started_s = link.autopilot_time_s
         asked_s = time.monotonic()
