@@ -70,6 +70,37 @@ class Finding:
     fix: tuple[str, float] | None = None  # (parameter, value) that is safe to set for the flight
 
 
+RATES_HELD_S = 0.5
+"""How long the last body rates or torques of a companion that has died may be held: a turn at 1 rad/s is then 30°."""
+
+
+def held_setpoint(name: str, held_s: float, longest_s: float, remedy: str, level: ControlLevel) -> Finding:
+    """Judge how long the last setpoint is followed after the companion has died.
+
+    Args:
+        name: of the parameter that says so.
+        held_s: its value, s.
+        longest_s: what is borne at the attitude level.
+        remedy: how it is set, up to the value.
+        level: of the flight.
+    """
+    found = f"{held_s:.1f} s"
+    if level is not ControlLevel.ATTITUDE and held_s > RATES_HELD_S:
+        return Finding(
+            Verdict.WARNING,
+            name,
+            found,
+            "when the companion dies its last rates or torques are held for so long: the vehicle may tip over",
+            f"{remedy} {RATES_HELD_S:g}, or fly with --fix",
+            (name, RATES_HELD_S),
+        )
+    if held_s > longest_s:
+        return Finding(
+            Verdict.WARNING, name, found, "a dead companion is noticed this late only", f"{remedy} 1.0"
+        )
+    return Finding(Verdict.OK, name, found)
+
+
 class Intent(enum.Enum):
     """Modes the companion asks for, by what they are for."""
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from companion.autopilot.adapter import Adapter, Finding, Intent, Verdict
+from companion.autopilot.adapter import Adapter, Finding, Intent, Verdict, held_setpoint
 from companion.control.structs import ControlLevel
 from companion.mavlink.link import mav
 from companion.mavlink.protocol import Command
@@ -148,18 +148,7 @@ class ArduPilot(Adapter):
             findings.append(Finding(Verdict.OK, "ATC_ANGLE_BOOST", "0", "thrust goes through as sent"))
         timeout = parameters.get("GUID_TIMEOUT")
         if timeout is not None:
-            quick = timeout <= 3.0
-            findings.append(
-                Finding(
-                    Verdict.OK if quick else Verdict.WARNING,
-                    "GUID_TIMEOUT",
-                    f"{timeout:.1f} s",
-                    ""
-                    if quick
-                    else "a dead companion is noticed this late only, and the vehicle then only levels and holds height",
-                    "" if quick else "set GUID_TIMEOUT to 1",
-                )
-            )
+            findings.append(held_setpoint("GUID_TIMEOUT", timeout, 3.0, "set GUID_TIMEOUT to", level))
         hover = parameters.get("MOT_THST_HOVER")
         if hover is not None:
             sane = 0.1 <= hover <= 0.8

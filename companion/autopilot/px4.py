@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from companion.autopilot.adapter import Adapter, Finding, Intent, Verdict
+from companion.autopilot.adapter import Adapter, Finding, Intent, Verdict, held_setpoint
 from companion.control.structs import ControlLevel, Vector
 from companion.mavlink.frames import frd_from_flu
 from companion.mavlink.link import Message, mav
@@ -144,16 +144,7 @@ class Px4(Adapter):
             )
         loss_time = parameters.get("COM_OF_LOSS_T")
         if loss_time is not None:
-            quick = loss_time <= 2.0
-            findings.append(
-                Finding(
-                    Verdict.OK if quick else Verdict.WARNING,
-                    "COM_OF_LOSS_T",
-                    f"{loss_time:.1f} s",
-                    "" if quick else "a dead companion is noticed this late only",
-                    "" if quick else "param set COM_OF_LOSS_T 1.0",
-                )
-            )
+            findings.append(held_setpoint("COM_OF_LOSS_T", loss_time, 2.0, "param set COM_OF_LOSS_T", level))
         action = parameters.get("COM_OBL_RC_ACT")
         if action is not None:
             lands = action not in (-1.0, 2.0, 6.0, 7.0)

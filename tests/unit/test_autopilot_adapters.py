@@ -136,8 +136,21 @@ def test_arming():
 @pytest.mark.parametrize(("adapter", "good"), [(PX4, PX4_GOOD), (ARDUPILOT, ARDUPILOT_GOOD)])
 @pytest.mark.parametrize("level", [ControlLevel.ATTITUDE, ControlLevel.BODY_RATE])
 def test_a_vehicle_as_it_should_be(adapter, good, level):
+    if level is ControlLevel.BODY_RATE:
+        good = {**good, **{name: 0.5 for name in ("COM_OF_LOSS_T", "GUID_TIMEOUT") if name in good}}
     assert {f.verdict for f in findings(adapter, good, level).values()} == {Verdict.OK}
     assert set(good) <= set(adapter.parameters_needed())
+
+
+@pytest.mark.parametrize(
+    ("adapter", "good", "name"),
+    [(PX4, PX4_GOOD, "COM_OF_LOSS_T"), (ARDUPILOT, ARDUPILOT_GOOD, "GUID_TIMEOUT")],
+)
+def test_rates_of_a_dead_companion_are_not_held_for_long(adapter, good, name):
+    """Killed while it turns, at a vehicle that follows for 3 s: seen by the campaign, tilt 133°."""
+    as_shipped = findings(adapter, good, ControlLevel.BODY_RATE)[name]
+    assert (as_shipped.verdict, as_shipped.fix) == (Verdict.WARNING, (name, 0.5))
+    assert findings(adapter, good, ControlLevel.ATTITUDE)[name].verdict is Verdict.OK
 
 
 @pytest.mark.parametrize(
