@@ -34,6 +34,15 @@ _NAMES = {
 }  # fmt: skip
 
 
+_LEVELS_LATE = "the vehicle then only levels and holds height"
+_DEAD_COMPANION = {
+    ControlLevel.ATTITUDE: (3.0, 1.0, _LEVELS_LATE),
+    ControlLevel.BODY_RATE: (0.5, 0.5, "until then the last body rate goes on and tips the vehicle over"),
+    ControlLevel.ACTUATOR: (3.0, 1.0, _LEVELS_LATE),
+}
+"""By level: the longest GUID_TIMEOUT that is no warning, the one to set (s), and what is wrong with a longer one."""
+
+
 class ArduPilot(Adapter):
     """See `Adapter`."""
 
@@ -148,16 +157,16 @@ class ArduPilot(Adapter):
             findings.append(Finding(Verdict.OK, "ATC_ANGLE_BOOST", "0", "thrust goes through as sent"))
         timeout = parameters.get("GUID_TIMEOUT")
         if timeout is not None:
-            quick = timeout <= 3.0
+            longest_s, wanted_s, why = _DEAD_COMPANION[level]
+            quick = timeout <= longest_s
             findings.append(
                 Finding(
                     Verdict.OK if quick else Verdict.WARNING,
                     "GUID_TIMEOUT",
                     f"{timeout:.1f} s",
-                    ""
-                    if quick
-                    else "a dead companion is noticed this late only, and the vehicle then only levels and holds height",
-                    "" if quick else "set GUID_TIMEOUT to 1",
+                    "" if quick else f"a dead companion is noticed this late only, and {why}",
+                    "" if quick else f"set GUID_TIMEOUT to {wanted_s:g}, or fly with --fix",
+                    None if quick else ("GUID_TIMEOUT", wanted_s),
                 )
             )
         hover = parameters.get("MOT_THST_HOVER")

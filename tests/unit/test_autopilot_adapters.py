@@ -27,7 +27,7 @@ PX4_GOOD = {
     "EKF2_HGT_REF": 3.0,
     "EKF2_RNG_CTRL": 0.0,
 }
-ARDUPILOT_GOOD = {"GUID_OPTIONS": 8.0, "ATC_ANGLE_BOOST": 0.0, "GUID_TIMEOUT": 3.0, "MOT_THST_HOVER": 0.37}
+ARDUPILOT_GOOD = {"GUID_OPTIONS": 8.0, "ATC_ANGLE_BOOST": 0.0, "GUID_TIMEOUT": 0.5, "MOT_THST_HOVER": 0.37}
 
 
 def findings(adapter, parameters, level=ControlLevel.ATTITUDE, version=NOW):
@@ -161,7 +161,8 @@ def test_a_vehicle_as_it_should_be(adapter, good, level):
         (ARDUPILOT, ARDUPILOT_GOOD, "GUID_OPTIONS", 24.0, Verdict.OK, None),
         (ARDUPILOT, ARDUPILOT_GOOD, "ATC_ANGLE_BOOST", None, Verdict.REFUSAL, None),
         (ARDUPILOT, ARDUPILOT_GOOD, "ATC_ANGLE_BOOST", 1.0, Verdict.REFUSAL, 0.0),
-        (ARDUPILOT, ARDUPILOT_GOOD, "GUID_TIMEOUT", 5.0, Verdict.WARNING, None),
+        (ARDUPILOT, ARDUPILOT_GOOD, "GUID_TIMEOUT", 5.0, Verdict.WARNING, 1.0),
+        (ARDUPILOT, ARDUPILOT_GOOD, "GUID_TIMEOUT", 3.0, Verdict.OK, None),
         (ARDUPILOT, ARDUPILOT_GOOD, "MOT_THST_HOVER", 0.05, Verdict.REFUSAL, None),
         (ARDUPILOT, ARDUPILOT_GOOD, "MOT_THST_HOVER", 0.95, Verdict.REFUSAL, None),
     ],
@@ -182,6 +183,14 @@ def test_every_finding(adapter, good, name, value, verdict, fix):
         assert name not in mended or mended[name].verdict is Verdict.OK
     if value is None:
         assert found[name].found == "not answered"
+
+
+def test_body_rates_want_a_dead_companion_noticed_sooner():
+    """ArduCopter flies on at the last body rate until GUID_TIMEOUT: 20°/s for 3 s tipped one over in the campaign."""
+    found = findings(ARDUPILOT, {**ARDUPILOT_GOOD, "GUID_TIMEOUT": 3.0}, ControlLevel.BODY_RATE)[
+        "GUID_TIMEOUT"
+    ]
+    assert (found.verdict, found.fix) == (Verdict.WARNING, ("GUID_TIMEOUT", 0.5))
 
 
 @pytest.mark.parametrize(
