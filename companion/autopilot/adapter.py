@@ -84,20 +84,16 @@ def held_setpoint(name: str, held_s: float, longest_s: float, remedy: str, level
         remedy: how it is set, up to the value.
         level: of the flight.
     """
+    wanted_s, why = 1.0, "a dead companion is noticed this late only"
+    if level is not ControlLevel.ATTITUDE:
+        longest_s = wanted_s = RATES_HELD_S
+        why = (
+            "when the companion dies its last rates or torques are held for so long: the vehicle may tip over"
+        )
     found = f"{held_s:.1f} s"
-    if level is not ControlLevel.ATTITUDE and held_s > RATES_HELD_S:
-        return Finding(
-            Verdict.WARNING,
-            name,
-            found,
-            "when the companion dies its last rates or torques are held for so long: the vehicle may tip over",
-            f"{remedy} {RATES_HELD_S:g}, or fly with --fix",
-            (name, RATES_HELD_S),
-        )
     if held_s > longest_s:
-        return Finding(
-            Verdict.WARNING, name, found, "a dead companion is noticed this late only", f"{remedy} 1.0"
-        )
+        fix = f"{remedy} {wanted_s:g}, or fly with --fix"
+        return Finding(Verdict.WARNING, name, found, why, fix, (name, wanted_s))
     return Finding(Verdict.OK, name, found)
 
 

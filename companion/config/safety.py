@@ -219,8 +219,8 @@ class SafetyLimits(SettingsModel):
     battery_voltage_v: Ladder = Ladder()
     """Voltage under load (SYS_STATUS); off, since it depends on the pack."""
     round_trip_s: Ladder = Ladder(warn=(0.05, 2.0), freeze=(0.1, 1.0), land=(0.15, 1.0))
-    """TIMESYNC round trip, median of 32; on the autopilot's clock where that does not run like ours. Setpoints that act
-    0.1 s late make the shipped gains swing, and 0.15 s tip a vehicle over."""
+    """TIMESYNC round trip, median of 32; on the autopilot's clock where that does not run like ours. The prediction
+    reaches across 0.1 s of it; what lies beyond makes the shipped gains swing, and 0.15 s tipped a vehicle over."""
     link_loss: Ladder = Ladder(warn=(0.02, 1.0), freeze=(0.2, 1.0), land=(0.5, 3.0))
     """Share of the autopilot's frames of the last 2 s that never came, by sequence numbers."""
     overrun_share: Ladder = Ladder(warn=(0.05, 1.0), freeze=(0.3, 1.0), land=(0.8, 2.0))
