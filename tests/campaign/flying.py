@@ -97,7 +97,9 @@ def stub_options(planned: PlannedFlight, folder: Path) -> list[str]:
 def fly(planned: PlannedFlight, folder: Path, plant: Callable[[], None] | None = None) -> Flown:
     """Fly in `folder` (made, and kept). `plant` is called in the companion's process first: a defect on purpose."""
     folder.mkdir(parents=True, exist_ok=True)
-    if planned.as_command and plant is None:
+    # What a pilot has taken may hover for ever, and the command is right to log it for as long: that needs our own clock.
+    has_end = not any(fault.kind in ("pilot_mode", "pilot_sticks") for fault in planned.faults)
+    if planned.as_command and has_end and plant is None:
         return _fly_as_command(planned, folder)
     began_s = time.monotonic()
     tape = Tape()
