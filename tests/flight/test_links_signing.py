@@ -43,8 +43,10 @@ def test_a_signed_flight_with_forgers_on_the_wire(tmp_path: Path) -> None:
 
     def down(datagram: bytes) -> list[bytes]:
         nonlocal sent
-        plain[:] = [datagram]
         pieces = peer.down(datagram)
+        if not pieces:  # a message newer than pymavlink's dialect: it cannot sign that
+            return []
+        plain[:] = [datagram]
         sent += 1
         return [*pieces, disturbances[sent // 50 % 4]()] if sent % 50 == 0 else pieces
 
