@@ -33,6 +33,7 @@ POLL_S = 0.05
 POSE_POLL_S = 0.005
 ACK_TIMEOUT_S = 1.0
 TRIES = 4
+HEARTBEATS_OF_A_CLOCK_THAT_STANDS = 5
 _TIMESYNC: int = mav.MAVLINK_MSG_ID_TIMESYNC
 _COMMAND_ACK: int = mav.MAVLINK_MSG_ID_COMMAND_ACK
 _PARAM_VALUE: int = mav.MAVLINK_MSG_ID_PARAM_VALUE
@@ -97,19 +98,24 @@ class Vehicle:
     def disarmed_for(self, lasts_s: float) -> Callable[[], bool]:
         """A condition for `until`: HEARTBEATs have said disarmed for `lasts_s` of the autopilot's time.
 
-        One alone may have been held up on its way, and tell of how it was before.
+        One alone may have been held up on its way, and tell of how it was before. An autopilot that was started anew
+        may send nothing with its time in it: then `HEARTBEATS_OF_A_CLOCK_THAT_STANDS` of them count, once a second each.
         """
-        link, since_s, first = self.link, math.nan, self.link.heartbeat
+        link, since_s, latest, count = self.link, math.nan, self.link.heartbeat, 0
 
         def holds() -> bool:
-            nonlocal since_s, first
+            nonlocal since_s, latest, count
             if self.status.armed:
                 since_s = math.nan
                 return False
             if math.isnan(since_s):
-                since_s, first = link.autopilot_time_s, link.heartbeat
+                since_s, latest, count = link.autopilot_time_s, link.heartbeat, 0
+            elif link.heartbeat is not latest:
+                latest, count = link.heartbeat, count + 1
             passed_s = abs(link.autopilot_time_s - since_s)  # a clock that starts again counts from there
-            return passed_s >= lasts_s and link.heartbeat is not first
+            if passed_s == 0.0:
+                return count >= HEARTBEATS_OF_A_CLOCK_THAT_STANDS
+            return passed_s >= lasts_s and count > 0
 
         return holds
 

@@ -432,6 +432,23 @@ def test_a_heartbeat_that_was_held_up_is_not_taken_for_a_disarming(wire):
     assert _disarmed_by(wire, held_up) == pytest.approx(5.0 + 2.4 + 1.0, abs=0.11)
 
 
+def test_an_autopilot_that_started_anew_and_sends_no_time_is_believed_to_be_disarmed(wire):
+    """ArduPilot streams nothing until asked: after a reboot HEARTBEATs are all there is (campaign, ardupilot 833)."""
+    transport, link, _, autopilot = wire
+    vehicle = Vehicle(link, silence_limit_s=1.0)
+    transport.waiting.append(autopilot.frame(heartbeat(base_mode=ARMED)))
+    transport.waiting.append(autopilot.frame(attitude(5000)))
+    vehicle.until(lambda: vehicle.status.armed)
+    disarmed = vehicle.disarmed_for(1.0)
+    answers = []
+    for _ in range(6):
+        transport.waiting.append(autopilot.frame(heartbeat(base_mode=0)))
+        for message in all_messages(link):
+            vehicle.status.take(message)
+        answers.append(disarmed())
+    assert answers == [False] * 5 + [True]
+
+
 def test_the_round_trip_is_known_in_the_autopilots_time(wire):
     """A simulation in lockstep: 150 ms on its clock are 1 ms of ours."""
     transport, link, clock, autopilot = wire
