@@ -48,7 +48,7 @@ def flight_table(metrics: FlightMetrics) -> Group:
 def _stream_line(name: str, numbers: dict[str, float | None]) -> Text:
     """How one stream of the autopilot arrived."""
     rate, jitter, age, age_95 = (numbers[key] for key in ("rate_hz", "jitter_s", "age_s", "age_95_s"))
-    text = f"{name}: {rate or 0.0:.0f} Hz"
+    text = f"stream {name}: {rate or 0.0:.0f} Hz"
     if age is not None and age_95 is not None and jitter is not None:
         text += f", {age * 1e3:.1f} ms old (95 %: {age_95 * 1e3:.1f}), jitter {jitter * 1e3:.1f} ms"
     return Text(text)
