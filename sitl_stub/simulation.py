@@ -61,11 +61,6 @@ class Truth:
         """(3,) rad/s."""
         return self.array[body.BODY_RATE_FRD]
 
-    @property
-    def rotor_thrust_newton(self) -> FloatArray:
-        """(8,) N; unused rotors are zero."""
-        return self.array[body.ROTOR_THRUSTS]
-
 
 class Simulation:
     """One vehicle under PX4's attitude and rate loops.

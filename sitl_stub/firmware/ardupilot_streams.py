@@ -362,12 +362,7 @@ class ArduPilotMessages:
     # --- motion ------------------------------------------------------------------------------------------------
     def attitude(self, link: Link) -> Values:
         """ATTITUDE: Euler angles of the estimate."""
-        core = self.autopilot.core
-        w, x, y, z = core.quaternion.tolist()
-        roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-        pitch = math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0))
-        yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-        return (self.autopilot.clock_us // 1000, roll, pitch, yaw, *self._gyro())
+        return (self.autopilot.clock_us // 1000, *self.autopilot.core.euler_rad, *self._gyro())
 
     def _gyro(self) -> list[float]:
         """Body rates as ArduPilot reports them: after INS_GYRO_FILTER."""

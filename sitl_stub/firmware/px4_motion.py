@@ -35,12 +35,7 @@ class Px4Motion:
     def attitude(self, link: Link) -> Values:
         """ATTITUDE: Euler angles of the estimate."""
         core = self.autopilot.core
-        w, x, y, z = core.quaternion.tolist()
-        roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-        pitch = math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0))
-        yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-        p, q, r = core.body_rate_frd.tolist()
-        return (self.autopilot.clock_us // 1000, roll, pitch, yaw, p, q, r)
+        return (self.autopilot.clock_us // 1000, *core.euler_rad, *core.body_rate_frd.tolist())
 
     def attitude_quaternion(self, link: Link) -> Values:
         """ATTITUDE_QUATERNION."""

@@ -89,6 +89,13 @@ class VehicleCore:
         return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
     @property
+    def euler_rad(self) -> tuple[float, float, float]:
+        """Estimated roll, pitch and yaw, body FRD to NED, as ATTITUDE has them."""
+        w, x, y, z = self.quaternion.tolist()
+        roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+        return roll, math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0)), self.yaw
+
+    @property
     def position_aided(self) -> bool:
         """Whether the filter gets measurements of position (GPS, motion capture)."""
         return bool(self.estimator.arrays.memory[belief.AIDED] > 0.0)

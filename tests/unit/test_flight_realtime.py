@@ -43,7 +43,9 @@ def test_where_all_is_allowed_nothing_is_said(monkeypatch) -> None:
     assert asked == [(os.SCHED_FIFO, realtime.FIFO_PRIORITY)]
     assert libc.asked == [1 | 2]  # MCL_CURRENT, MCL_FUTURE
     assert gc.get_freeze_count() > 0
+    assert gc.get_threshold()[0] == realtime.YOUNG_OBJECTS
     realtime.restore()
+    assert gc.get_threshold()[0] != realtime.YOUNG_OBJECTS
     assert asked[-1] == (os.SCHED_OTHER, 0)
     assert libc.asked[-1] == 0
     assert gc.get_freeze_count() == 0
