@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from sitl_stub.mavlink.codec import LAYOUTS, Received
-from sitl_stub.mavlink.links import Link, Port, TcpLink, UdpLink
+from sitl_stub.mavlink.links import MOST_AT_ONCE, Link, Port, TcpLink, UdpLink
 
 if TYPE_CHECKING:
     from sitl_stub.faults.control import ControlChannel
@@ -134,8 +134,10 @@ class Server:
                     self.say(f"{link.name} connected")
 
     # --- taking in ---------------------------------------------------------------------------------------------
-    def _receive(self, timeout_s: float, obey: bool = True) -> list[tuple[Link, Received]]:
-        """Messages that arrive within `timeout_s`, in order of arrival on each link.
+    def _receive(
+        self, timeout_s: float, obey: bool = True, most: int = MOST_AT_ONCE
+    ) -> list[tuple[Link, Received]]:
+        """Messages that arrive within `timeout_s`, in order of arrival on each link; `most` reads of each socket.
 
         What came over the control channel is taken up only when no message is waiting and `obey` says so: in lockstep
         that is while time stands, so that an injected fault begins at the same instant however fast it came.
@@ -150,7 +152,7 @@ class Server:
             port: Port = key.data
             before = len(port.links)
             was_open = all(link.open for link in port.links)
-            for link, messages in port.receive(key.fileobj):  # type: ignore[arg-type]
+            for link, messages in port.receive(key.fileobj, most):  # type: ignore[arg-type]
                 arrived.extend((link, message) for message in messages)
             changed |= len(port.links) != before or not was_open
         if commanded and obey and not arrived and self.control is not None:
@@ -255,15 +257,29 @@ class Server:
                 self._drop_silent(autopilot)
 
     def _step(self, autopilot: Autopilot) -> int:
-        """One instant, its messages and questions sent together; returns the number of messages."""
+        """One instant, its messages and questions; returns the number of messages.
+
+        What a controller acts upon goes out with the question, and the rest while the client is at it. What the client
+        says about the rest comes after its answer, and so belongs to the next instant, however fast it was.
+        """
         links = list(autopilot.links)
+        asked = False
+
+        def ask() -> None:
+            nonlocal asked
+            asked = True
+            self._request_answers(autopilot)
+            for link in links:
+                link.send_gathered()
+
         for link in links:
             link.gathers = True
-        sent = autopilot.step()
-        if sent:
+        sent = autopilot.step(ask)
+        if sent and not asked:
             self._request_answers(autopilot)
         for link in links:
             link.send_gathered()
+            link.gathers = False
         return sent
 
     def _wait_for_first_answer(self, autopilot: Autopilot) -> None:
@@ -331,7 +347,7 @@ class Server:
                 if any(self._barriers[id(link)].misses >= MISSES_TO_REAL_TIME for link in waiting):
                     self._give_up(waiting)
                 return
-            self._handle(self._receive(min(left, 0.1)))
+            self._handle(self._receive(min(left, 0.1), most=1))
 
     def _give_up(self, waiting: list[Link]) -> None:
         for link in waiting:

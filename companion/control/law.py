@@ -124,13 +124,12 @@ class ControlLaw:
 
     def step_packed(self, memory: Memory, inputs: Vector) -> StepResult:
         """`step` on inputs as `pack_input` made them and the log holds them: replay gives the same bits."""
-        following = np.empty_like(memory.packed)
-        numbers = np.zeros(
-            _TERMS_SIZE
-        )  # by its floats: filling a record field by field takes longer than the step
-        terms = numbers.view(TERMS)
-        self.kernel(self.packed_parameters, memory.packed, inputs.view(INPUT), following, terms)
-        flags = int(numbers[_FLAGS : _FLAGS + 1].view(np.int64)[0])
+        # Records over plain numbers: to make one, to fill it field by field or to view it takes longer than the step.
+        before, numbers = memory.packed, np.zeros(_TERMS_SIZE)
+        following = np.ndarray((1,), before.dtype, np.empty(before.nbytes // 8))
+        terms = np.ndarray((1,), TERMS, numbers)
+        self.kernel(self.packed_parameters, before, np.ndarray((1,), INPUT, inputs), following, terms)
+        flags = int(numbers.view(np.int64)[_FLAGS])
         if flags & (NOT_FINITE | TOO_TILTED):
             raise StepRefused(self._refusal(flags, terms[0]))
         setpoint = Setpoint(

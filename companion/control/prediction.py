@@ -157,8 +157,11 @@ class Predictor:
         self._model = pack_model(profile, level, autopilot)
         self._dead_s = profile.response(autopilot).dead_time(level)
         self._estimator_s = profile.estimator_delay_s
-        self._ring = np.zeros((RING, ROW))
+        self._rows = np.zeros((8 * RING, ROW))  # so that they need not all move at every setpoint
+        self._first = 0
+        self._ring = self._rows[:RING]
         self._count = 0
+        self._gravity = profile.gravity_m_s2
         self._mass = profile.mass_estimate_kg
         self.link_delay_s = 0.0
         """What the link takes beyond what is within the dead time, from a state's stamp to its setpoint's arrival, s."""
@@ -188,17 +191,23 @@ class Predictor:
                 self._count -= 1
         dt = acts_s - self._ring[self._count - 1, TIME] if self._count else 0.0
         if self._count == RING:
-            self._ring[:-1] = self._ring[1:]
+            self._forget_oldest()
             self._count -= 1
-        row = self._ring[self._count]
-        row[TIME], row[THRUST] = acts_s, setpoint.thrust_newton
-        row[QUATERNION:RATE], row[RATE:TORQUE] = setpoint.quaternion_wxyz, setpoint.body_rate_flu
-        row[TORQUE:ROW] = setpoint.torque_flu
+        thrust, (w, x, y, z) = setpoint.thrust_newton, setpoint.quaternion_wxyz.tolist()
+        rate, torque = setpoint.body_rate_flu.tolist(), setpoint.torque_flu.tolist()
+        self._ring[self._count] = (acts_s, thrust, w, x, y, z, *rate, *torque)
         self._count += 1
-        upright = 1.0 - 2.0 * float(row[QUATERNION + 1] ** 2 + row[QUATERNION + 2] ** 2)
-        carried = setpoint.thrust_newton * upright / self._model[1]
+        carried = thrust * (1.0 - 2.0 * (x * x + y * y)) / self._gravity
         if carried > 0.3 * self._mass:  # idle on the ground carries nothing
             self._mass += -math.expm1(-min(dt, 0.1) / self.CARRYING_TIME_S) * (carried - self._mass)
+
+    def _forget_oldest(self) -> None:
+        """Let the ring begin one row later; at the end of the rows that are there it moves back to their beginning."""
+        self._first += 1
+        if self._first + RING > len(self._rows):
+            self._rows[:RING] = self._rows[self._first - 1 : self._first - 1 + RING]
+            self._first = 1
+        self._ring = self._rows[self._first : self._first + RING]
 
     def predict(self, state: VehicleState) -> VehicleState:
         """The state at the moment a setpoint sent now acts; its `time_s` says when that is."""

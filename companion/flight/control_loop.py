@@ -301,7 +301,9 @@ class ControlLoop:
         self._hover.update(
             time_s, float(state.velocity_enu[2]), math.cos(tilt_of(state.quaternion_wxyz)), free
         )
-        self._thrust = replace(self._thrust, hover_thrust=self._hover.hover_thrust)
+        hover_thrust = self._hover.hover_thrust
+        if hover_thrust != self._thrust.hover_thrust:
+            self._thrust = replace(self._thrust, hover_thrust=hover_thrust)
 
     def _lift(self, state: VehicleState, gap_s: float, age_s: float) -> None:
         limit_deg = self._settings.safety.lift_off_tilt_deg

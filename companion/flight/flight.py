@@ -36,7 +36,7 @@ from companion.flight.recorder import Recorder
 from companion.flight.reporter import Reporter
 from companion.flight.stage import FlightRequest, FlightResult, Interrupts, Stage
 from companion.flight.supervisor import Supervisor, law_bounds
-from companion.flight.vehicle import Vehicle
+from companion.flight.vehicle import HANDLED, Vehicle
 from companion.mavlink.link import Message, mav
 from companion.reference.trajectory import Placed, place
 from companion.reference.transit import TransitLimits
@@ -159,6 +159,7 @@ class Flight:
 
     def _take_off(self) -> None:
         vehicle, settings, loop = self._vehicle, self._settings, self._loop
+        vehicle.link.wanted = HANDLED | {_RC_CHANNELS}  # half of what comes is for the log only
         ground = self._ground()
         self._stage.ground_m = float(ground.position_enu[2])
         self._stage.plan = self._lay_out(ground)

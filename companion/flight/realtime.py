@@ -8,6 +8,7 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -16,6 +17,8 @@ from contextlib import suppress
 FIFO_PRIORITY = 50
 YOUNG_OBJECTS = 5000  # a pass over so many takes 0.3 ms
 _USUAL_THRESHOLDS = gc.get_threshold()
+SWITCH_INTERVAL_S = 5e-4
+_USUAL_SWITCH_INTERVAL_S = sys.getswitchinterval()
 _MCL_CURRENT_AND_FUTURE = 3
 
 
@@ -36,7 +39,7 @@ def prepare() -> list[str]:
             )
     except (OSError, AttributeError):
         refused.append("memory not locked: this system has no mlockall")
-    freeze_collector()
+    steady_interpreter()
     return refused
 
 
@@ -48,17 +51,22 @@ def restore() -> None:
         ctypes.CDLL(None).munlockall()
     gc.unfreeze()
     gc.set_threshold(*_USUAL_THRESHOLDS)
+    sys.setswitchinterval(_USUAL_SWITCH_INTERVAL_S)
 
 
-def freeze_collector() -> None:
-    """Take all that is alive now out of the garbage collector's sight, so that no pass over it happens in flight.
+def steady_interpreter() -> None:
+    """Keep Python's own housekeeping, and our other threads, out of the control thread's way.
 
-    And let it look at what is new less often: a simulation in lockstep has a thousand records wait for the log's writer,
-    and to go through them after every 700 costs more than anything it finds.
+    All that is alive now is taken out of the garbage collector's sight, so that no pass over it happens in flight; and
+    it looks at what is new less often: a simulation in lockstep has a thousand records wait for the log's writer, and to
+    go through them after every 700 costs more than anything it finds. A thread that has the interpreter gives it up
+    after SWITCH_INTERVAL_S instead of 5 ms: the log's writer works for a few milliseconds at a time, and a state that
+    comes meanwhile would wait for it.
     """
     gc.collect()
     gc.freeze()
     gc.set_threshold(YOUNG_OBJECTS)
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
 
 
 class LoopWatchdog:

@@ -79,7 +79,7 @@ def fly(settings: Settings, options: SessionOptions, reporter: Reporter) -> Flig
             for line in realtime.prepare():
                 reporter.say(line)
         else:
-            realtime.freeze_collector()
+            realtime.steady_interpreter()
         return _fly(settings, options, reporter, trajectory, plan)
     finally:
         realtime.restore()

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -46,8 +47,19 @@ def _loop_field(name: str) -> int:
     return LOOP_TERMS.fields[name][1] // 8  # type: ignore[index]
 
 
-_ERROR, _U_ERROR = _loop_field("error"), _loop_field("U_error")
-_NETWORK, _NORM = _loop_field("network_term"), _loop_field("weight_norm")
+_LOOKED_AT = np.array(
+    [
+        _POSITION + _loop_field("weight_norm"),
+        _ATTITUDE + _loop_field("weight_norm"),
+        *(
+            _POSITION + _loop_field(name) + axis
+            for name in ("network_term", "error", "U_error")
+            for axis in range(3)
+        ),
+        *(_FORCE + axis for axis in range(3)),
+    ]
+)
+"""Of the law's terms: both norms, then the position loop's network, error and Ũ, and the force."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,8 +87,7 @@ def law_bounds(law: ControlLaw) -> LawBounds:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Sight:
+class Sight(NamedTuple):
     """What is seen at one state, beside the state."""
 
     reference: Reference
@@ -93,8 +104,7 @@ class Sight:
     poses: PoseFigures | None = None  # from outside, where the estimator uses them
 
 
-@dataclass(frozen=True, slots=True)
-class Judgement:
+class Judgement(NamedTuple):
     """What is to be done with this state."""
 
     reaction: Reaction
@@ -310,16 +320,12 @@ class Supervisor:
         values[INDEX["thrust_margin"]] = min(thrust - low, high - thrust) / (high - low)
         if sight.terms is None:
             return
-        t = np.frombuffer(sight.terms.packed).tolist()
+        t = np.frombuffer(sight.terms.packed)[_LOOKED_AT].tolist()
         values[INDEX["weight_norm"]] = max(
-            t[_POSITION + _NORM] / bounds.position_weight_bound,
-            t[_ATTITUDE + _NORM] / bounds.attitude_weight_bound,
+            t[0] / bounds.position_weight_bound, t[1] / bounds.attitude_weight_bound
         )
-        network = math.hypot(*t[_POSITION + _NETWORK : _POSITION + _NETWORK + 3])
-        force = math.hypot(*t[_FORCE : _FORCE + 3])
+        network, error, gap, force = (math.hypot(*t[first : first + 3]) for first in (2, 5, 8, 11))
         values[INDEX["network_share"]] = network / force if force > 0.0 else math.nan
-        error = math.hypot(*t[_POSITION : _POSITION + 3])
-        gap = math.hypot(*t[_POSITION + _U_ERROR : _POSITION + _U_ERROR + 3])
         V = 0.5 * (bounds.beta * error * error + bounds.mass_kg * gap * gap)
         before_s, short, long = self._lyapunov or (time_s, V, V)
         dt_s = max(0.0, time_s - before_s)

@@ -42,6 +42,7 @@ MAVLINK_SCHEMA = (
 MAVLINK_TOPICS = {"in": "/mavlink/in", "out": "/mavlink/out"}
 MAVLINK_SCHEMA_NAME = "companion/msg/MavlinkFrame"
 
+_Part = NDArray[np.float64] | NDArray[np.void] | np.void | float
 _DOUBLE = struct.Struct("<d")
 _FLOAT64 = np.dtype(np.float64)
 _RECORD_HEAD = struct.Struct("<4sd")
@@ -153,30 +154,16 @@ class FlightLog:
         self._queue.append(("define", channel))
         return channel
 
-    def record(
-        self,
-        channel: Channel,
-        time_s: float,
-        *parts: NDArray[np.float64] | NDArray[np.void] | np.void | float,
-    ) -> None:
+    def record(self, channel: Channel, time_s: float, *parts: _Part) -> None:
         """Log one record: `parts` are the fields in order, as float64 arrays and floats, or one packed record.
 
-        Copies at once, never blocks, never raises: what does not fit the channel is counted as rejected.
+        Never blocks, never raises: what does not fit the channel is counted as rejected. An array belongs to the log from
+        now on and must not be changed: its numbers are read by the writer's thread, which has more time.
         """
         if len(self._queue) >= self._limit:
             self._dropped += 1
-            return
-        try:
-            body = b"".join(
-                [  # the usual case without a call
-                    part.tobytes() if type(part) is np.ndarray and part.dtype is _FLOAT64 else _packed(part)
-                    for part in parts
-                ]
-            )
-            self._queue.append(("record", channel, time_s, body))
-        except Exception as error:  # a defect in what is logged must not cost the flight
-            self._rejected += 1
-            self._unfit = f"{channel.spec.topic}: {error}"
+        else:
+            self._queue.append(("record", channel, time_s, parts))
 
     def event(self, kind: str, time_s: float, **fields: Any) -> None:
         """Log an event (`events.KINDS` lists the usual ones). Fields may be anything; never raises."""
@@ -371,8 +358,14 @@ class FlightLog:
             note[WALL_FIELDS_KEY] = ",".join(spec.wall_fields)
         channel.channel_id = file.add_channel(spec.topic, "cdr", schema, note)
 
-    def _handle_record(self, channel: Channel, time_s: float, body: bytes) -> None:
+    def _handle_record(self, channel: Channel, time_s: float, parts: tuple[_Part, ...]) -> None:
         spec = channel.spec
+        body = b"".join(
+            [  # the usual case without a call
+                part.tobytes() if type(part) is np.ndarray and part.dtype is _FLOAT64 else _packed(part)
+                for part in parts
+            ]
+        )
         if len(body) != 8 * spec.width:
             raise ValueError(f"{spec.topic} takes {spec.width} numbers, was given {len(body) / 8:g}")
         if not channel.channel_id:
@@ -390,7 +383,7 @@ class FlightLog:
                 self._file.add_message(channel_id, log_time, data)
 
 
-def _packed(part: NDArray[np.float64] | NDArray[np.void] | np.void | float) -> bytes:
+def _packed(part: _Part) -> bytes:
     """Return the bytes of one field or of a whole record. The usual case first: this runs for every field."""
     if type(part) is float:
         return _DOUBLE.pack(part)

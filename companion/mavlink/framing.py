@@ -12,6 +12,7 @@ from collections.abc import Container
 
 MAGIC_V1, MAGIC_V2 = 0xFE, 0xFD
 SIGNED_FLAG = 0x01
+_MAGICS = (MAGIC_V1, MAGIC_V2)
 
 
 def frame_length(data: bytes | bytearray, start: int) -> int | None:
@@ -90,6 +91,11 @@ class Framer:
         data, end = self._data, len(self._data)
         while self._position < end:
             start = self._position
+            if data[start] == MAGIC_V2 and start + 12 <= end and not data[start + 2]:  # as nearly all are
+                after = start + data[start + 1] + 12
+                if data[after] in _MAGICS if after < end else after == end and not self._stream:
+                    self._start, self._position = start, after
+                    return bytes(data[start:after])
             length = frame_length(data, start)
             whole = length is not None and start + length <= end
             if not whole and self._stream:
@@ -99,7 +105,7 @@ class Framer:
                 known = message_id(frame) in self._known
                 if not known and after == end and self._stream:
                     return None  # the byte that will follow decides
-                if known or after == end or data[after] in (MAGIC_V1, MAGIC_V2):
+                if known or after == end or data[after] in _MAGICS:
                     self._start, self._position = start, after
                     return frame
             self._position += 1

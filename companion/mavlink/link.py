@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from typing import Any, Protocol
 
 from companion.mavlink.framing import Framer, is_signed
@@ -82,6 +82,8 @@ class Link:
         self.timesync = TimeSync()
         self.streams = StreamTiming(self.timesync)
         self.last_message_ns = 0
+        self.wanted: Container[int] | None = None
+        """Numbers of the messages that `receive` returns; the others are believed and logged all the same. None: all."""
 
     @property
     def tap(self) -> FrameTap | None:
@@ -133,10 +135,10 @@ class Link:
         return message
 
     def _next_believed(self) -> Message | None:
-        framer = self._framer
+        framer, wanted = self._framer, self.wanted
         while (frame := framer.next_frame()) is not None:
             message = self._believe(frame)
-            if message is not None:
+            if message is not None and (wanted is None or message.msg_id in wanted):
                 return message
         self.counters["stray bytes"] = framer.stray_bytes
         return None
@@ -148,15 +150,16 @@ class Link:
             self.counters["bad frames"] += 1
             self._framer.reject()
             return None
-        if not self._signature_holds(frame):
+        if (self.signer is not None or is_signed(frame)) and not self._signature_holds(frame):
             if not is_signed(frame):
                 self._refuse_command(message, mav.MAV_RESULT_DENIED)
             return None
         if message.unknown:
             self._note_unknown(message)
             return None
-        ours = self._is_our_autopilot(message)
-        self._refuse_command(message, mav.MAV_RESULT_UNSUPPORTED)
+        kind, ours = message.msg_id, self._is_our_autopilot(message)
+        if kind in _COMMANDS:
+            self._refuse_command(message, mav.MAV_RESULT_UNSUPPORTED)
         if not ours:
             self.counters["other senders"] += 1
             return None
@@ -165,7 +168,6 @@ class Link:
         self._note_time(message)
         if self._tap is not None:
             self._tap(False, self._boot_time_s, frame)
-        kind = message.msg_id
         if kind == _TIMESYNC:
             if message.tc1 != 0:
                 asked_s = self._asked_at.get(message.ts1, math.nan)
@@ -177,8 +179,7 @@ class Link:
 
     def _signature_holds(self, frame: bytes) -> bool:
         if self.signer is None:
-            if is_signed(frame):
-                self.counters["signed, and we have no key"] += 1
+            self.counters["signed, and we have no key"] += 1
             return True
         refusal = self.signer.judge(frame)
         if refusal is None:

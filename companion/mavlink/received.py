@@ -10,6 +10,7 @@ and pymavlink reads those.
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable
 from typing import Any
 
 from fastcrc.crc16 import mcrf4xx
@@ -80,10 +81,8 @@ class Received:
         return None if layout is None or layout.stamp_us_at < 0 else self._integer(layout.stamp_us_at, 8)
 
     def _integer(self, place: int, size: int) -> int:
-        start, end = self._head + place, self._head + self._length
-        return int.from_bytes(
-            self.msg_frame[start : min(start + size, end)], "little"
-        )  # zeros at the end are not sent
+        start, end = self._head + place, self._head + self._length  # zeros at the end are not sent
+        return int.from_bytes(self.msg_frame[start : start + size if start + size < end else end], "little")
 
     def get_msgId(self) -> int:
         """As pymavlink's."""
@@ -109,22 +108,23 @@ class Received:
         layout = self._layout
         if layout is None or name not in layout.names:
             raise AttributeError(f"{self.get_type()} has no field {name}")
-        self.__dict__.update(self._fields(layout))
-        return self.__dict__[name]
+        fields = self.__dict__
+        fields.update(self._fields(layout))
+        return fields[name]
 
-    def _fields(self, layout: Layout) -> dict[str, Any]:
+    def _fields(self, layout: Layout) -> Iterable[tuple[str, Any]]:
         if not layout.plain:
             message = mav.MAVLink(None).decode(bytearray(self.msg_frame))
-            return {name: getattr(message, name) for name in layout.names}
+            return [(name, getattr(message, name)) for name in layout.names]
         payload = self.msg_frame[self._head : self._head + self._length]
         if len(payload) < layout.size:
             payload += bytes(layout.size - len(payload))
         numbers = layout.unpack(payload)
         if not layout.has_arrays:
-            return dict(zip(layout.names, numbers, strict=True))
-        fields, place = {}, 0
+            return zip(layout.names, numbers, strict=True)
+        fields, place = [], 0
         for name, count in zip(layout.names, layout.counts, strict=True):
-            fields[name] = numbers[place] if count == 1 else list(numbers[place : place + count])
+            fields.append((name, numbers[place] if count == 1 else list(numbers[place : place + count])))
             place += count
         return fields
 

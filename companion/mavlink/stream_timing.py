@@ -12,11 +12,14 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
-from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
 
 from companion.mavlink.received import mav
 from companion.mavlink.timesync import TimeSync
 
+Vector = NDArray[np.float64]
 WINDOW_S = 2.0
 _LONGEST = 1024  # messages kept of a stream: WINDOW_S at 500 Hz
 
@@ -69,21 +72,20 @@ class StreamTiming:
         for message_id, seen in self._seen.items():
             if not seen:
                 continue
-            newest_s = max(stamp_s for stamp_s, _ in seen)
-            recent = [pair for pair in seen if newest_s - WINDOW_S <= pair[0]]
-            if len(recent) < 2 or newest_s <= recent[0][0]:
-                continue
-            found.append(self._summed_up(message_id, recent))
+            stamps_s, arrived_s = np.array(seen).T
+            recent = stamps_s >= stamps_s.max() - WINDOW_S
+            stamps_s, arrived_s = stamps_s[recent], arrived_s[recent]
+            if len(stamps_s) > 1 and stamps_s.max() > stamps_s[0]:
+                found.append(self._summed_up(message_id, stamps_s, arrived_s))
         return found
 
-    def _summed_up(self, message_id: int, recent: list[tuple[float, float]]) -> StreamFigures:
-        stamps = [stamp_s for stamp_s, _ in recent]
-        rate_hz = (len(set(stamps)) - 1) / (max(stamps) - min(stamps))
+    def _summed_up(self, message_id: int, stamps_s: Vector, arrived_s: Vector) -> StreamFigures:
+        rate_hz = (len(np.unique(stamps_s)) - 1) / float(np.ptp(stamps_s))
         if not self._timesync.steady:
             return StreamFigures(message_id, rate_hz, math.nan, math.nan, math.nan)
-        ages = [self._timesync.autopilot_time_s(arrived_s) - stamp_s for stamp_s, arrived_s in recent]
-        jitter_s = sum(abs(b - a) for a, b in pairwise(ages)) / (len(ages) - 1)
-        ordered = sorted(ages)
+        ages_s = self._timesync.autopilot_time_s(arrived_s) - stamps_s
+        jitter_s = float(np.abs(np.diff(ages_s)).mean())
+        ordered = np.sort(ages_s).tolist()
         return StreamFigures(
             message_id,
             rate_hz,

@@ -218,7 +218,7 @@ class FrameFaults:
 
     def _arrive(self, link: Link, direction: Direction, frame: bytes, message: Received | None) -> None:
         if direction == "to_client":
-            link.send_bytes(self._with_its_number(link, frame))
+            link.send_apart(self._with_its_number(link, frame))
         elif message is not None:
             link.counters.received += 1
             self.autopilot.take_in(link, message)

@@ -159,12 +159,12 @@ class ArduPilot(Autopilot):
         for link in self.links:
             self.say_to(link, severity, text)
 
-    def send_due(self) -> int:
+    def send_following(self) -> int:
         """Texts said since the last instant, then the streams: an acknowledgement comes before its explanation."""
         texts, self._texts = self._texts, []
         for link, severity, text, number, chunk in texts:
             link.send("STATUSTEXT", severity=severity, text=text, id=number, chunk_seq=chunk)
-        return len(texts) + super().send_due()
+        return len(texts) + super().send_following()
 
     def say_to(self, link: Link, severity: int, text: str) -> None:
         """STATUSTEXT to one client."""

@@ -131,7 +131,8 @@ class Autopilot:
     @property
     def clock_us(self) -> int:
         """The autopilot's own clock, which goes into every time stamp: `uptime_us` unless a fault puts it wrong."""
-        return min(max(self.uptime_us + self._clock_offset_us, 0), LATEST_CLOCK_US)
+        clock = self.core.time_us - self.booted_us + self._clock_offset_us
+        return clock if 0 <= clock <= LATEST_CLOCK_US else min(max(clock, 0), LATEST_CLOCK_US)
 
     def put_clock_wrong(self, cause: object, by_us: int) -> None:
         """Let `cause` shift the clock by so much; 0 takes its share back."""
@@ -156,8 +157,11 @@ class Autopilot:
         """The end of the control period that begins now."""
         return self.core.time_us + self.core.control_period_us
 
-    def step(self) -> int:
-        """Go on to the next instant, run what is due there and send; returns the number of messages sent."""
+    def step(self, led: Callable[[], None] = lambda: None) -> int:
+        """Go on to the next instant, run what is due there and send; returns the number of messages sent.
+
+        `led` is called once what a controller acts upon has been sent, where there was anything of that; the rest follows.
+        """
         instant = self.next_instant_us
         self.core.advance_to(instant)
         sent = 0
@@ -171,7 +175,10 @@ class Autopilot:
                 return sent  # one of them has just restarted it
         if instant % LOGIC_PERIOD_US == 0:
             self.run_logic()
-        return sent + self.send_due()
+        leading = self.send_leading()
+        if leading:
+            led()
+        return sent + leading + self.send_following()
 
     def advance_to(self, time_us: int) -> None:
         """Run every instant up to `time_us` and the loops up to it (whole control periods)."""
@@ -179,15 +186,22 @@ class Autopilot:
             self.step()
         self.core.advance_to(time_us)
 
-    def send_due(self) -> int:
-        """Send every message due now on every link."""
+    def _listening(self) -> list[tuple[Link, LinkStreams]]:
+        """Links to send on now: where nobody listens, one knocks once in a while instead of talking."""
+        probing = not self.core.time_us % REFUSED_PROBE_US
+        return [(link, link.firmware_data) for link in self.links if probing or not link.refused]
+
+    def send_leading(self) -> int:
+        """Send what of `streams.LEADING` is due now, on every link; returns the number of messages."""
+        now = self.core.time_us
+        return sum(streams.send_due(link, now, streams.leading) for link, streams in self._listening())
+
+    def send_following(self) -> int:
+        """Send everything else that is due now, on every link; returns the number of messages."""
         sent = 0
         now = self.core.time_us
-        for link in self.links:
-            streams: LinkStreams = link.firmware_data
-            if link.refused and now % REFUSED_PROBE_US:
-                continue  # nobody listens there: knock once in a while instead of talking
-            sent += streams.send_due(link, now)
+        for link, streams in self._listening():
+            sent += streams.send_due(link, now, streams.following)
             if streams.parameters_waiting:
                 sent += self.parameter_protocol.send_waiting(link, streams)
         return sent

@@ -83,35 +83,26 @@ class OffboardSetpoint:
         """
         v: dict[str, Any] = message.values
         mask = v["type_mask"]
-        packed = self.packed
         attitude = not mask & IGNORE_ATTITUDE
-        rates = (mask & IGNORE_RATES) != IGNORE_RATES
+        w, x, y, z = v["q"]
+        norm = math.sqrt(w * w + x * x + y * y + z * z)
         thrust = 0.0 if mask & IGNORE_THROTTLE else v["thrust"]
-        numbers = (*v["q"], v["body_roll_rate"], v["body_pitch_rate"], v["body_yaw_rate"], thrust)
-        if attitude and not all(math.isfinite(number) for number in numbers[:4]):
+        if not math.isfinite(thrust) or not (attitude or (mask & IGNORE_RATES) != IGNORE_RATES):
             return False
-        if not math.isfinite(thrust):
+        if attitude and not 1e-6 <= norm < math.inf:
             return False
-        if not (attitude or rates):
-            return False
+        rates = [
+            0.0 if mask & bit or not math.isfinite(v[name]) else v[name]
+            for bit, name in ((1, "body_roll_rate"), (2, "body_pitch_rate"), (4, "body_yaw_rate"))
+        ]
+        thrust = min(max(thrust, 0.0), 1.0)
+        packed = self.packed
         if attitude:
-            norm = math.sqrt(sum(number * number for number in v["q"]))
-            if norm < 1e-6:
-                return False
-            packed[at.QUATERNION : at.QUATERNION + 4] = [number / norm for number in v["q"]]
-        packed[at.RATES] = 0.0 if mask & 1 or not math.isfinite(v["body_roll_rate"]) else v["body_roll_rate"]
-        packed[at.RATES + 1] = (
-            0.0 if mask & 2 or not math.isfinite(v["body_pitch_rate"]) else v["body_pitch_rate"]
-        )
-        packed[at.RATES + 2] = (
-            0.0 if mask & 4 or not math.isfinite(v["body_yaw_rate"]) else v["body_yaw_rate"]
-        )
-        packed[at.THRUST] = min(max(thrust, 0.0), 1.0)
-        yaw_rate_only = attitude and mask & IGNORE_RATES == 0b011
-        packed[at.YAW_RATE] = packed[at.RATES + 2] if yaw_rate_only else 0.0
+            packed[at.QUATERNION : at.QUATERNION + 4] = (w / norm, x / norm, y / norm, z / norm)
+        packed[at.RATES : at.RATES + 3] = packed[at.OVERRIDE_RATES : at.OVERRIDE_RATES + 3] = rates
+        packed[at.THRUST] = packed[at.OVERRIDE_THRUST] = thrust
+        packed[at.YAW_RATE] = rates[2] if attitude and mask & IGNORE_RATES == 0b011 else 0.0
         packed[at.OVERRIDE_PERIODS] = at.ALWAYS if attitude and mask & IGNORE_RATES == 0 else 0.0
-        packed[at.OVERRIDE_RATES : at.OVERRIDE_RATES + 3] = packed[at.RATES : at.RATES + 3]
-        packed[at.OVERRIDE_THRUST] = packed[at.THRUST]
         packed[at.KIND] = at.KIND_ATTITUDE if attitude else at.KIND_RATES
         return self._accept(OffboardKind.ATTITUDE if attitude else OffboardKind.RATES, time_us)
 

@@ -1,8 +1,9 @@
 """Which messages a client gets, how often, and when they are due.
 
 As PX4's MAVLink loop, messages are sent at instants of a fixed loop (10 ms, or the shortest interval asked for); a
-message whose interval is not a multiple keeps its mean rate. The order of definitions is the order on the wire within
-one instant.
+message whose interval is not a multiple keeps its mean rate. Within one instant those that say how the vehicle moves
+(LEADING) go first, for in lockstep a client acts upon them while the rest is still being made; else the order on the wire
+is that of the definitions.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from sitl_stub.mavlink.codec import LAYOUTS, MessageLayout
 from sitl_stub.mavlink.links import Link
 
 LOOP_PERIOD_US = 10_000
+LEADING = frozenset(("ODOMETRY", "LOCAL_POSITION_NED", "ATTITUDE", "ATTITUDE_QUATERNION"))
 
 Builder = Callable[[Link], tuple[Any, ...] | None]
 """Values of a message in wire order, or None when there is nothing to say yet."""
@@ -45,18 +47,23 @@ class LinkStreams:
     """All streams of one link."""
 
     streams: dict[int, Stream] = field(default_factory=dict)
-    active: list[Stream] = field(default_factory=list)
+    leading: list[Stream] = field(default_factory=list)
+    """Those of LEADING that are on."""
+    following: list[Stream] = field(default_factory=list)
+    """The others that are on."""
     parameters_waiting: list[int] = field(default_factory=list)
     """Indices of parameters still to be sent for a list request, last one first."""
 
     def refresh(self) -> None:
-        """Rebuild the list of streams that are on."""
-        self.active = [stream for stream in self.streams.values() if stream.interval_us > 0]
+        """Rebuild the lists of streams that are on."""
+        active = [stream for stream in self.streams.values() if stream.interval_us > 0]
+        self.leading = [stream for stream in active if stream.definition.layout.name in LEADING]
+        self.following = [stream for stream in active if stream.definition.layout.name not in LEADING]
 
-    def send_due(self, link: Link, time_us: int) -> int:
-        """Send what is due at `time_us`; returns the number of messages."""
+    def send_due(self, link: Link, time_us: int, streams: list[Stream]) -> int:
+        """Send what of `streams` (`leading` or `following`) is due at `time_us`; returns the number of messages."""
         sent = 0
-        for stream in self.active:
+        for stream in streams:
             if stream.next_us > time_us:
                 continue
             stream.next_us += stream.interval_us
@@ -71,7 +78,7 @@ class LinkStreams:
     @property
     def shortest_interval_us(self) -> float:
         """Shortest interval of any stream that is on."""
-        return min((stream.interval_us for stream in self.active), default=float("inf"))
+        return min((stream.interval_us for stream in self.leading + self.following), default=float("inf"))
 
 
 class StreamTable:

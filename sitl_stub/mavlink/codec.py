@@ -8,6 +8,7 @@ pymavlink's tables (PX4 1.17 sends some) are added in `NEWER_MESSAGES`.
 
 from __future__ import annotations
 
+import functools
 import json
 import struct
 from collections.abc import Iterator
@@ -62,7 +63,7 @@ NEWER_MESSAGES: dict[str, tuple[int, int, str, tuple[str, ...]]] = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class MessageLayout:
     """How one message lies on the wire."""
 
@@ -76,6 +77,11 @@ class MessageLayout:
     """Values each field takes from the unpacked tuple: 0 for a scalar, -1 for a string, else the count."""
     mavlink1_length: int
     """Payload length without MAVLink 2 extension fields, bytes."""
+
+    @functools.cached_property
+    def plain(self) -> bool:
+        """Whether every field is one number."""
+        return not any(self.array_lengths)
 
 
 def _field(entry: str) -> tuple[str, int]:
@@ -143,6 +149,8 @@ def unpack_payload(layout: MessageLayout, payload: bytes) -> dict[str, Any]:
     if len(payload) < size:
         payload += bytes(size - len(payload))
     flat = layout.packer.unpack_from(payload)
+    if layout.plain:
+        return dict(zip(layout.fields, flat, strict=True))
     values: dict[str, Any] = {}
     at = 0
     for name, count in zip(layout.fields, layout.array_lengths, strict=True):
@@ -228,7 +236,7 @@ class FrameReader:
                 at += total
                 continue
             body_end = at + header + length
-            checksum = _crc(data[at + 1 : body_end] + bytes((layout.crc_extra,)))
+            checksum = _crc(data[at + 1 : body_end] + _BYTES[layout.crc_extra])
             if checksum != data[body_end] | data[body_end + 1] << 8:
                 # Resynchronise at the next byte: a false start inside garbage must not swallow a whole frame.
                 counters.bad_checksum += 1

@@ -27,6 +27,10 @@ from sitl_stub.mavlink.traffic import LinkTraffic
 Address = tuple[str, int]
 IP_RECVERR = 11  # Linux: report a refused datagram of an unconnected socket; Python names no constant for it
 LARGEST_DATAGRAM = 65535
+FULL_DATAGRAM = 1400
+"""Bytes gathered into one: no network cuts it into pieces."""
+MOST_AT_ONCE = 1000
+"""Datagrams read before anything else is looked at."""
 MOST_CLIENTS_OF_A_PORT = 16
 CLIENT_PORTS = (20000, 32000)
 """Where `reserve_client_port` looks."""
@@ -106,9 +110,12 @@ class Link:
         """Hand one frame to the socket."""
         raise NotImplementedError
 
+    def send_apart(self, frame: bytes) -> None:
+        """Hand over one frame that must not share a datagram with others: a damaged one would take them along."""
+        self.send_bytes(frame)
+
     def send_gathered(self) -> None:
-        """Gather no longer, and hand over what has been."""
-        self.gathers = False
+        """Hand over what has been gathered."""
 
 
 class MemoryLink(Link):
@@ -137,8 +144,8 @@ class Port(Protocol):
     def sockets(self) -> list[socket.socket]:
         """Sockets to wait on."""
 
-    def receive(self, ready: socket.socket) -> list[tuple[Link, list[Received]]]:
-        """Messages waiting at one of `sockets()`; new clients appear in `links`."""
+    def receive(self, ready: socket.socket, most: int = MOST_AT_ONCE) -> list[tuple[Link, list[Received]]]:
+        """Messages waiting at one of `sockets()`, of `most` reads of it; new clients appear in `links`."""
 
     def describe(self) -> dict[str, Any]:
         """The address as it goes into the ready line."""
@@ -163,12 +170,22 @@ class UdpLink(Link):
         else:
             self._send(frame)
 
+    def send_apart(self, frame: bytes) -> None:
+        """See `Link.send_apart`."""
+        self.send_gathered()
+        self._send(frame)
+
     def send_gathered(self) -> None:
-        """See `Link.send_gathered`: still a datagram for each frame."""
-        self.gathers = False
+        """See `Link.send_gathered`: in as few datagrams as have room for them."""
         frames, self._gathered = self._gathered, []
-        for frame in frames:
-            self._send(frame)
+        first, size = 0, 0
+        for index, frame in enumerate(frames):
+            if size + len(frame) > FULL_DATAGRAM and size:
+                self._send(b"".join(frames[first:index]))
+                first, size = index, 0
+            size += len(frame)
+        if size:
+            self._send(b"".join(frames[first:]))
 
     def _send(self, frame: bytes) -> None:
         try:
@@ -245,10 +262,10 @@ class UdpPort:
         """The one socket."""
         return [self.socket]
 
-    def receive(self, ready: socket.socket) -> list[tuple[Link, list[Received]]]:
-        """Everything waiting, datagram by datagram, in order of arrival."""
+    def receive(self, ready: socket.socket, most: int = MOST_AT_ONCE) -> list[tuple[Link, list[Received]]]:
+        """`most` datagrams of those waiting, in order of arrival."""
         batches: list[tuple[Link, list[Received]]] = []
-        for _ in range(1000):
+        for _ in range(most):
             try:
                 data, address = ready.recvfrom(LARGEST_DATAGRAM)
             except BlockingIOError:
@@ -275,7 +292,7 @@ class UdpPort:
     def _forget_errors(self) -> None:
         """Empty the queue of refusals: while there is one, a selector finds the socket ready without end."""
         with contextlib.suppress(OSError):
-            for _ in range(1000):
+            for _ in range(MOST_AT_ONCE):
                 self.socket.recvmsg(1, 512, socket.MSG_ERRQUEUE)
 
     def describe(self) -> dict[str, Any]:
@@ -319,7 +336,6 @@ class TcpLink(Link):
 
     def send_gathered(self) -> None:
         """See `Link.send_gathered`."""
-        self.gathers = False
         self.flush()
 
     def flush(self) -> None:
@@ -362,7 +378,7 @@ class TcpPort:
         """The listener and every connection."""
         return [self.server, *(link.connection for link in self.links if isinstance(link, TcpLink))]
 
-    def receive(self, ready: socket.socket) -> list[tuple[Link, list[Received]]]:
+    def receive(self, ready: socket.socket, most: int = MOST_AT_ONCE) -> list[tuple[Link, list[Received]]]:
         """Accept a client or read from one."""
         if ready is self.server:
             with contextlib.suppress(OSError):

@@ -38,9 +38,9 @@ def watch_stub(tape: Tape, gone_at_s: float | None) -> None:
             due_us = before_us = gone_us = 0
             row = np.zeros(BOX_WIDTH)
 
-            def watched_step() -> int:
+            def watched_step(*led: Any) -> int:
                 nonlocal due_us, before_us, gone_us
-                sent = step()
+                sent = step(*led)
                 if autopilot.time_us < before_us:
                     gone_us += before_us  # restarted: the box's time goes on
                 before_us = autopilot.time_us

@@ -37,9 +37,9 @@ if option == "limited":
     sys.exit(0)
 os.write(1, bytes(8))
 start = time.monotonic()
-numbers, matrix = np.zeros(15), np.zeros((20, 3))
 while True:
     now = time.monotonic() - start
+    numbers = np.zeros(15)
     numbers[0] = now
     log.record(state, now, numbers)
     log.record(weights, now, rng.normal(size=(20, 3)))

@@ -123,7 +123,7 @@ def write(
             packed["attitude"]["weight_norm"] = 0.2 * (1 - np.exp(-0.4 * (time - BOOT_S)))
             packed["position"]["lyapunov"] = abs(np.sin(t)) * 0.01
             packed["attitude"]["lyapunov"] = abs(np.cos(t)) * 0.001
-            log.record(terms, time, packed)
+            log.record(terms, time, packed.copy())
             log.record(weights, time, np.full((6, 3), t))
             log.record(timing, time, 0.008 + 1e-4 * rng.random(), 3e-4 + 1e-4 * rng.random(), 5e-6, 3.0)
             log.mavlink("in", time, b"\xfd\x01" + bytes(8))

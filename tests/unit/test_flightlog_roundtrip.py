@@ -159,7 +159,6 @@ def test_records_in_parts_and_packed_are_the_same(tmp_path):
             channel, 1.0, numbers[:3], numbers[3:6], numbers[6:10], numbers[10:13], 14.0, np.float64(15)
         )
         log.record(channel, 1.0, numbers[::-1][::-1].astype(np.float32))
-        numbers[:] = 0.0  # a copy was taken
     assert (read_log(tmp_path / "a.mcap").channels["/state"].values == np.arange(1.0, 16.0)).all()
 
 
