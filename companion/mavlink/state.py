@@ -65,7 +65,7 @@ class StateAssembler:
         time_s = message.time_boot_ms * 1e-3
         place = (message.x, message.y, message.z)
         speed = (message.vx, message.vy, message.vz)
-        if not _bounded(place, FARTHEST_M) or not _bounded(speed, FASTEST_M_S):
+        if not _bounded(*place, FARTHEST_M) or not _bounded(*speed, FASTEST_M_S):
             self.counters["impossible positions"] += 1
             return
         if not self._newer(time_s, self.position_time_s, "position"):
@@ -78,11 +78,11 @@ class StateAssembler:
 
     def _note_jump(self, place: _Triple, speed: _Triple, elapsed_s: float) -> None:
         """Compare a position with where the one before it leads to, both NED."""
-        unexplained = tuple(
-            new - old - 0.5 * elapsed_s * (speed_new + speed_old)
-            for new, old, speed_new, speed_old in zip(
-                place, self._motion_ned[0], speed, self._motion_ned[1], strict=True
-            )
+        (x, y, z), (vx, vy, vz), half_s = *self._motion_ned, 0.5 * elapsed_s
+        unexplained = (
+            place[0] - x - half_s * (speed[0] + vx),
+            place[1] - y - half_s * (speed[1] + vy),
+            place[2] - z - half_s * (speed[2] + vz),
         )
         if math.hypot(*unexplained) > JUMP_M:
             self.counters["position jumps"] += 1
@@ -91,13 +91,10 @@ class StateAssembler:
 
     def _take_attitude(self, message: Message) -> VehicleState | None:
         time_s = message.time_boot_ms * 1e-3
-        w, x, y, z = quaternion = (message.q1, message.q2, message.q3, message.q4)
+        w, x, y, z = message.q1, message.q2, message.q3, message.q4
         rates = (message.rollspeed, message.pitchspeed, message.yawspeed)
-        if not _bounded(quaternion, 1.1) or not _bounded(rates, FASTEST_RATE_RAD_S):
-            self.counters["impossible attitudes"] += 1
-            return None
         norm = math.sqrt(w * w + x * x + y * y + z * z)
-        if abs(norm - 1.0) > 0.05:
+        if not abs(norm - 1.0) <= 0.05 or not _bounded(*rates, FASTEST_RATE_RAD_S):
             self.counters["impossible attitudes"] += 1
             return None
         if not self._newer(time_s, self.attitude_time_s, "attitude"):
@@ -123,5 +120,5 @@ class StateAssembler:
         return True
 
 
-def _bounded(numbers: tuple[float, ...], limit: float) -> bool:
-    return -limit <= min(numbers) and max(numbers) <= limit and not any(map(math.isnan, numbers))
+def _bounded(a: float, b: float, c: float, limit: float) -> bool:
+    return -limit <= a <= limit and -limit <= b <= limit and -limit <= c <= limit  # false with NaN

@@ -86,6 +86,8 @@ class UdpTransport(Transport):
         self._greeted: tuple[str, int] | None = None
         self.peer: tuple[str, int] | None = None
         self._filtered = False
+        self._arrivals = select.poll()
+        self._arrivals.register(self._socket, select.POLLIN)
         try:
             if self._fixed_peer:
                 self.peer = (socket.gethostbyname(endpoint.host), endpoint.number)
@@ -103,7 +105,7 @@ class UdpTransport(Transport):
         if self._filtered and not self._fixed_peer and time.monotonic() - self._peer_heard_s > PEER_SILENT_S:
             hear_everybody(self._socket)
             self._filtered = False
-        return bool(select.select([self._socket], [], [], max(0.0, timeout_s))[0])
+        return bool(self._arrivals.poll(max(0.0, 1e3 * timeout_s)))
 
     def receive(self) -> list[bytes]:
         """See `Transport.receive`. While the peer speaks, other senders' datagrams are dropped unread."""
