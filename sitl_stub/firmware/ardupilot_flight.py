@@ -83,7 +83,7 @@ class Flight:
         s[at.HEADING_RATE] = 0.0
         s[at.VELOCITY : at.VELOCITY + 3] = 0.0
         s[at.ACCELERATION : at.ACCELERATION + 3] = 0.0
-        s[at.IGNORE_DESCENT_LIMIT] = 0.0
+        s[at.IGNORE_DESCENT_LIMIT] = s[at.SOFT_LANDING] = 0.0
 
     # --- what is being followed --------------------------------------------------------------------------------
     @property
@@ -134,7 +134,7 @@ class Flight:
         s[at.VERTICAL] = at.VERTICAL_THRUST
         s[at.THROTTLE_CUTOFF_HZ] = 2.0
         s[at.THRUST] = 0.0
-        s[at.IGNORE_DESCENT_LIMIT] = 0.0
+        s[at.IGNORE_DESCENT_LIMIT] = s[at.SOFT_LANDING] = 0.0
         a.core.memory[at.NE_ACTIVE] = a.core.memory[at.UP_ACTIVE] = 0.0
         self.ground_control = not a.mode.value.manual_throttle
 
@@ -366,13 +366,7 @@ class Flight:
             return
         s[at.NE_KIND] = at.KIND_VELOCITY
         s[at.VELOCITY : at.VELOCITY + 2] = 0.0
-        if a.maybe_landed:
-            # the ground holds the vehicle: let the place it should hold go there
-            m = core.memory
-            share = LOGIC_DT_S / (LOGIC_DT_S + 0.16)
-            place = core.position_ned
-            for i in range(2):
-                m[at.DESIRED_POSITION + i] += share * (float(place[i]) - m[at.DESIRED_POSITION + i])
+        s[at.SOFT_LANDING] = float(a.maybe_landed)
         self.follow_position()
 
     def pause_landing(self) -> None:

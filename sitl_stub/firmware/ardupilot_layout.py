@@ -102,7 +102,8 @@ LEAN = 30  # 2, rad: roll, pitch
 THROTTLE_MIX = 32  # 0 min, 1 man, 2 max
 THROTTLE_CUTOFF_HZ = 33  # of VERTICAL_THRUST; 0: none
 IGNORE_DESCENT_LIMIT = 34  # landing: go on down although the motors are at their least
-SETPOINT_SIZE = 35
+SOFT_LANDING = 35  # it looks like the ground: the place to be held goes to where the vehicle is
+SETPOINT_SIZE = 36
 
 # memory (MEMORY_SIZE,): state of the controllers, and what they last asked for
 TARGET = 0  # 4, attitude target

@@ -26,6 +26,7 @@ from sitl_stub.firmware.ardupilot_position import (
     correct_up,
     shape_ne,
     shape_up,
+    soften_ne,
     start_ne,
     start_up,
 )
@@ -48,6 +49,7 @@ FloatArray = NDArray[np.float64]
 SPOOL = at.SPOOL
 SPOOL_SHUT_DOWN = at.SPOOL_SHUT_DOWN
 LATERAL = at.LATERAL
+SOFT_LANDING = at.SOFT_LANDING
 LATERAL_RELAX = at.LATERAL_RELAX
 LATERAL_QUATERNION = at.LATERAL_QUATERNION
 LATERAL_RATES = at.LATERAL_RATES
@@ -129,6 +131,8 @@ def control(
             up = rotate(body, (0.0, 0.0, -1.0))
             scale = ONE_G / max(-up[2], 0.1)
             start_ne(place, speed, (up[0] * scale, up[1] * scale), gains, memory)
+        if setpoint[SOFT_LANDING] > 0.0:
+            soften_ne(place, memory, dt_s)
         advance_desired_ne(memory, dt_s)
         shape_ne(setpoint, gains, memory, dt_s)
         correct_ne(place, speed, setpoint, gains, memory, dt_s)

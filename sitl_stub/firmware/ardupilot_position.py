@@ -87,6 +87,8 @@ CORNER_SHARE = math.sqrt(0.5)
 MOST_DESCENT_ACCEL = 7.5
 THROTTLE_CUTOFF_HZ = 2.0
 OVERSPEED_GAIN = 2.0
+SOFT_LANDING_S = 0.16
+"""POSCONTROL_RELAX_TC."""
 
 
 @compiled
@@ -141,6 +143,15 @@ def start_up(height: float, climb: float, gains: FloatArray, memory: FloatArray)
     target = memory[DESIRED_ACCELERATION + 2]
     memory[LIFT_INTEGRAL] = memory[THROTTLE_IN] - gains[HOVER_THRUST] - gains[LIFT_P] * (target - lift)
     memory[UP_ACTIVE] = 1.0
+
+
+@compiled
+def soften_ne(position: FloatArray, memory: FloatArray, dt_s: float) -> None:
+    """The ground holds the vehicle: let the place it should hold go there, and the integral not grow."""
+    share = dt_s / (dt_s + SOFT_LANDING_S)
+    for i in range(2):
+        memory[DESIRED_POSITION + i] += share * (position[i] - memory[DESIRED_POSITION + i])
+        memory[LIMIT_VECTOR + i] = memory[TARGET_ACCELERATION + i]
 
 
 @compiled

@@ -383,6 +383,31 @@ def test_motor_failure_turns_the_vehicle_over() -> None:
     assert client.height_m < 2.5
 
 
+@pytest.mark.parametrize("check", [1.0, 0.0])
+def test_arducopter_disarms_a_vehicle_that_lies_there(check: float) -> None:
+    """Its crash check; without that, FS_CRASH_CHECK 0, the motors go on turning."""
+    client = flying_ardupilot()
+    client.autopilot.parameters.set("FS_CRASH_CHECK", check)
+    inject(client, "motor_failure", rotor=2)
+    told: list[str] = []
+    for _ in range(40):
+        client.advance(0.5)
+        told += texts(client)
+    crash = [text for text in told if text.startswith("Crash: Disarming: AngErr=")]
+    assert len(crash) == (1 if check else 0)
+    assert client.autopilot.armed is (check == 0.0)
+    if check:
+        assert "Disarming motors" in told and client.height_m < 0.5
+
+
+def test_arducopter_is_not_disarmed_for_lying_while_it_flies() -> None:
+    """A flip, or a hard turn: leaning and off, but shaken and quick."""
+    client = flying_ardupilot()
+    client.autopilot.core.state[6:10] = (math.cos(0.6), math.sin(0.6), 0.0, 0.0)
+    client.advance(6.0)
+    assert client.autopilot.armed and not [text for text in texts(client) if "Crash" in text]
+
+
 def test_weakened_rotor_is_balanced_by_its_command() -> None:
     client = flying_px4()
     before = client.last("SERVO_OUTPUT_RAW")

@@ -185,6 +185,22 @@ def test_land_comes_down_at_land_speed_and_disarms_two_seconds_after_touch_down(
     assert any(text.startswith("SIM Hit ground at 0.") for text in flying.texts())
 
 
+def test_a_landed_vehicle_held_off_its_place_gives_that_up(flying: ArduPilotClient) -> None:
+    """The ground holds it, so the place goes to where it is, and the integral does not grow meanwhile."""
+    flying.command(176, 1, LAND)
+    while not flying.autopilot.maybe_landed:
+        flying.advance(0.02)
+    memory = flying.autopilot.core.memory
+    integral = float(memory[at.VELOCITY_INTEGRAL])
+    memory[at.DESIRED_POSITION] += 0.2
+    flying.advance(0.16)
+    assert memory[at.DESIRED_POSITION] == pytest.approx(0.2 * math.exp(-1.0), abs=0.02)
+    flying.advance(0.4)
+    assert abs(float(memory[at.VELOCITY_INTEGRAL]) - integral) < 1e-3
+    flying.advance(1.5)
+    assert not flying.autopilot.armed
+
+
 def test_loiter_without_a_radio_comes_down_because_the_stick_is_down(flying: ArduPilotClient) -> None:
     """The capture fell 1.39 m in the first 1.4 s: a throttle at 1000 asks for PILOT_SPEED_UP downwards."""
     flying.command(176, 1, LOITER)
