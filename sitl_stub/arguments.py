@@ -168,7 +168,9 @@ def _split_remote(text: str, default_local: int) -> tuple[str, int]:
 
 def open_ports(options: argparse.Namespace) -> list[Port]:
     """Every socket asked for; raises AddressError."""
-    from sitl_stub.mavlink.links import AddressError, TcpPort, UdpPort, parse_address, reserve_client_port
+    from sitl_stub.mavlink.links import AddressError, parse_address, reserve_client_port
+    from sitl_stub.mavlink.tcp import TcpPort
+    from sitl_stub.mavlink.udp import UdpPort
 
     ports: list[Port] = []
     try:

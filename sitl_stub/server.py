@@ -15,7 +15,9 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from sitl_stub.mavlink.codec import LAYOUTS, Received
-from sitl_stub.mavlink.links import MOST_AT_ONCE, Link, Port, TcpLink, UdpLink
+from sitl_stub.mavlink.links import MOST_AT_ONCE, Link, Port
+from sitl_stub.mavlink.tcp import TcpLink
+from sitl_stub.mavlink.udp import UdpLink
 
 if TYPE_CHECKING:
     from sitl_stub.faults.control import ControlChannel

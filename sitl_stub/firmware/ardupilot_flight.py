@@ -16,6 +16,7 @@ import numpy as np
 from sitl_stub.firmware import ardupilot_layout as at
 from sitl_stub.firmware.ardupilot_modes import Mode
 from sitl_stub.firmware.ardupilot_shaping import sqrt_controller
+from sitl_stub.firmware.vehicle_core import euler_of
 
 if TYPE_CHECKING:
     from sitl_stub.firmware.ardupilot import ArduPilot
@@ -120,8 +121,7 @@ class Flight:
             s[at.HEADING] = math.atan2(vy, vx)
             s[at.HEADING_RATE] = (vx * ay - vy * ax) / square
         else:
-            w, x, y, z = core.target_quaternion.tolist()
-            s[at.HEADING] = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+            s[at.HEADING] = euler_of(core.target_quaternion)[2]
             s[at.HEADING_RATE] = 0.0
 
     # --- on and off the ground ---------------------------------------------------------------------------------

@@ -16,6 +16,7 @@ import numpy as np
 from sitl_stub.firmware import ardupilot_layout as at
 from sitl_stub.firmware.ardupilot_modes import Mode
 from sitl_stub.firmware.ardupilot_shaping import from_euler
+from sitl_stub.firmware.vehicle_core import euler_of
 from sitl_stub.mavlink.codec import Received
 
 if TYPE_CHECKING:
@@ -243,8 +244,7 @@ class Guided:
 
     def _level(self) -> None:
         a = self._attitude
-        w, x, y, z = self.autopilot.core.target_quaternion.tolist()
-        yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        yaw = euler_of(self.autopilot.core.target_quaternion)[2]
         a[at.LATERAL] = at.LATERAL_QUATERNION
         a[at.QUATERNION : at.QUATERNION + 4] = from_euler(0.0, 0.0, yaw)
         a[at.RATES : at.RATES + 3] = 0.0

@@ -21,6 +21,16 @@ from sitl_stub.physics.wind import Wind
 FloatArray = NDArray[np.float64]
 
 
+def euler_of(quaternion_wxyz: FloatArray) -> tuple[float, float, float]:
+    """Roll, pitch and yaw (ZYX), rad, of an attitude (4,) body FRD to NED, as ATTITUDE has them."""
+    w, x, y, z = quaternion_wxyz.tolist()
+    return (
+        math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+        math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0)),
+        math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
+    )
+
+
 class VehicleCore:
     """Vehicle and estimator; subclasses bring controllers. All arrays are public and may be changed between calls."""
 
@@ -85,15 +95,12 @@ class VehicleCore:
     @property
     def yaw(self) -> float:
         """Estimated heading, rad, clockwise from north."""
-        w, x, y, z = self.quaternion.tolist()
-        return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        return euler_of(self.quaternion)[2]
 
     @property
     def euler_rad(self) -> tuple[float, float, float]:
         """Estimated roll, pitch and yaw, body FRD to NED, as ATTITUDE has them."""
-        w, x, y, z = self.quaternion.tolist()
-        roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-        return roll, math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0)), self.yaw
+        return euler_of(self.quaternion)
 
     @property
     def position_aided(self) -> bool:
