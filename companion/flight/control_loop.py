@@ -24,7 +24,7 @@ from companion.control.bounds import POSITION_SATURATES
 from companion.control.law import ControlLaw, StepRefused, pack_input
 from companion.control.packing import Memory, Terms
 from companion.control.prediction import Predictor
-from companion.control.structs import AdaptationGate, ControlLevel, Reference, Setpoint, Vector, VehicleState
+from companion.control.structs import AdaptationGate, ControlLevel, Reference, Vector, VehicleState
 from companion.flight.fallback import without_networks
 from companion.flight.level_flight import level_setpoint
 from companion.flight.outcome import Aborted, ending
@@ -32,9 +32,10 @@ from companion.flight.plan import FlightPlan, stopping_plan, tracking_time
 from companion.flight.realtime import LoopWatchdog
 from companion.flight.recorder import Recorder
 from companion.flight.setpoint_gate import SetpointGate
+from companion.flight.setpoint_sender import SetpointSender
 from companion.flight.supervisor import Judgement, Sight, Supervisor, tilt_of
 from companion.flight.vehicle import Vehicle
-from companion.mavlink.link import Message, mav
+from companion.mavlink.link import mav
 from companion.mavlink.stream_timing import StreamFigures
 from companion.mavlink.timesync import TimeSync
 from companion.reference.transit import TransitLimits
@@ -94,25 +95,20 @@ class ControlLoop:
         self._vehicle = vehicle
         self._law = law
         self._predictor = predictor
-        self._thrust = thrust
         self._hover = hover
+        self._sender = SetpointSender(vehicle, thrust, gate, hover, predictor, recorder)
         self._settings = settings
         self._recorder = recorder
         self._memory: Memory = law.initial_memory()
         self._plan: FlightPlan | None = None
         self._watching: Watching | None = None
-        self._gate = gate
         self._reaction = Reaction.NONE
         self._terms: Terms | None = None
         self._shift_enu: Vector | None = None  # of the plan, by estimator resets; None until there is one
         self._shift_yaw_rad = 0.0
         self._jump_enu: Vector | None = None  # not yet shown to the supervisor
-        self._refused = 0  # setpoints in a row
         self._overrun_share = 0.0
         self._last_state_s = -math.inf
-        self._last_sent_s = -math.inf
-        self._asked_quaternion: Vector = np.array([1.0, 0.0, 0.0, 0.0])
-        self._asked_thrust_newton = 0.0
         self._plan_started_s = 0.0
         self._last_step_s = -math.inf
         self._last_wall_ns = 0
@@ -125,13 +121,13 @@ class ControlLoop:
         self.activity = Activity.NOTHING
         self.lift_off_thrust = 0.0  # normalised, as last sent while lifting off
         self.position_error_enu: Vector = np.zeros(3)
-        self.counters: Counter[str] = Counter()
+        self.counters: Counter[str] = self._sender.counters
         self.held = ""  # why the plan was left for a hold; empty while it is followed
 
     @property
     def hover_thrust(self) -> float:
         """Normalised thrust that is taken to carry the weight."""
-        return self._thrust.hover_thrust
+        return self._sender.thrust.hover_thrust
 
     @property
     def state_delay_s(self) -> float:
@@ -174,7 +170,7 @@ class ControlLoop:
         """Begin to raise the thrust; it starts to rise once the motors can turn (`spool_time_s` after arming)."""
         self._lift_off_started_s = now_s + spool_time_s
         self._watching = watching
-        self._last_sent_s = now_s
+        self._sender.watchdog, self._sender.last_sent_s = watching.watchdog, now_s
         self._jump_enu = None
         self.activity = Activity.LIFT_OFF
 
@@ -186,14 +182,14 @@ class ControlLoop:
         self._plan, self._plan_started_s = plan, state.time_s
         self._shift_enu, self._shift_yaw_rad = None, 0.0
         self._jump_enu = None
-        rise_1_s = self._settings.procedure.lift_off_rate * self._thrust.hover_thrust
+        rise_1_s = self._settings.procedure.lift_off_rate * self._sender.thrust.hover_thrust
         self._hover.lifted_off(self.lift_off_thrust, rise_1_s, float(state.velocity_enu[2]))
-        self._thrust = replace(self._thrust, hover_thrust=self._hover.hover_thrust)
+        self._sender.thrust = replace(self._sender.thrust, hover_thrust=self._hover.hover_thrust)
         self._memory = self._law.take_over(
             self._memory,
             state,
             plan.sample(0.0),
-            self._thrust.newton(self._thrust.hover_thrust),
+            self._sender.thrust.newton(self._sender.thrust.hover_thrust),
             self._level_quaternion,
         )
         self._last_step_s = state.time_s - self.period_s
@@ -282,7 +278,7 @@ class ControlLoop:
         memory = self._memory
         actuators = result.setpoint.level is ControlLevel.ACTUATOR
         rotor_thrust = result.terms.packed["rotor_thrust"][0] if actuators else None
-        if self._send(state.time_s, result.setpoint, rotor_thrust):
+        if self._sender.send(state.time_s, result.setpoint, rotor_thrust):
             self._memory, self._terms = result.memory, result.terms
         self._recorder.reference(
             state.time_s, reference, tracking_time(self._plan, state.time_s - self._plan_started_s)
@@ -302,8 +298,8 @@ class ControlLoop:
             time_s, float(state.velocity_enu[2]), math.cos(tilt_of(state.quaternion_wxyz)), free
         )
         hover_thrust = self._hover.hover_thrust
-        if hover_thrust != self._thrust.hover_thrust:
-            self._thrust = replace(self._thrust, hover_thrust=hover_thrust)
+        if hover_thrust != self._sender.thrust.hover_thrust:
+            self._sender.thrust = replace(self._sender.thrust, hover_thrust=hover_thrust)
 
     def _lift(self, state: VehicleState, gap_s: float, age_s: float) -> None:
         limit_deg = self._settings.safety.lift_off_tilt_deg
@@ -355,11 +351,11 @@ class ControlLoop:
             position_age_s=age_s,
             position_time_s=self._vehicle.assembler.position_time_s,
             jump_enu=jump if jump is not None else _NO_JUMP,
-            asked_quaternion=self._asked_quaternion,
-            asked_thrust_newton=self._asked_thrust_newton,
+            asked_quaternion=self._sender.asked_quaternion,
+            asked_thrust_newton=self._sender.asked_thrust_newton,
             terms=self._terms,
-            refused_setpoints=self._refused,
-            setpoint_gap_s=state.time_s - self._last_sent_s,
+            refused_setpoints=self._sender.refused,
+            setpoint_gap_s=state.time_s - self._sender.last_sent_s,
             overrun_share=self._overrun_share,
             poses=self._vehicle.pose_figures(state.time_s),
         )
@@ -403,66 +399,20 @@ class ControlLoop:
 
     # Out ------------------------------------------------------------------------------------------------
 
-    def _send(
-        self, time_s: float, setpoint: Setpoint, rotor_thrust: Vector | None, thrust: float | None = None
-    ) -> bool:
-        """Send a setpoint through the gate; False when it was refused there.
-
-        `rotor_thrust` (N,) in newtons is what goes out, at the actuator level only; `thrust` overrides the normalised
-        collective, for idling below the least thrust of flight.
-        """
-        adapter, link = self._vehicle.adapter, self._vehicle.link
-        if thrust is None:
-            thrust = self._thrust.normalised(setpoint.thrust_newton)
-        controls = self._thrust.controls(rotor_thrust) if rotor_thrust is not None else None
-        if not self._fit(time_s, setpoint, thrust, controls):
-            return False
-        target = link.target_system or 1
-        if controls is not None:
-            message = adapter.encode_actuators(time_s, controls, target)
-        else:
-            message = adapter.encode(setpoint, time_s, thrust, target)
-        self._post(time_s, message, setpoint, thrust)
-        return True
-
     def _send_level(self, state: VehicleState, thrust: float) -> None:
         p = self._law.parameters
-        newton = self._thrust.newton(thrust)
+        newton = self._sender.thrust.newton(thrust)
         setpoint = level_setpoint(self._law.level, state, self._level_quaternion, newton, p.inertia)
         rotor_thrust = None
         if setpoint.level is ControlLevel.ACTUATOR:
             rotor_thrust = p.mixer[: p.rotor_count] @ np.array([newton, *setpoint.torque_flu])
-        self._send(state.time_s, setpoint, rotor_thrust, thrust)
-
-    def _fit(self, time_s: float, setpoint: Setpoint, thrust: float, controls: Vector | None) -> bool:
-        refusal = self._gate.refusal(setpoint, thrust, controls)
-        if not refusal:
-            self._refused = 0
-            return True
-        self.counters["setpoints refused"] += 1
-        if self._refused == 0:
-            self._recorder.log.event("safety", time_s, reaction="setpoint refused", reason=refusal)
-        self._refused += 1
-        return False
-
-    def _post(self, time_s: float, message: Message, setpoint: Setpoint, thrust: float) -> None:
-        if self._watching is not None and self._watching.watchdog.tripped:
-            self.counters["setpoints withheld"] += 1  # made of a state from before the loop stood still
-            return
-        if self._vehicle.link.send(message):
-            self._last_sent_s = time_s
-        else:
-            self.counters["setpoints not sent"] += 1
-        self._asked_quaternion, self._asked_thrust_newton = setpoint.quaternion_wxyz, setpoint.thrust_newton
-        self._hover.sent(time_s, thrust)
-        self._predictor.sent(time_s, setpoint)
-        self._recorder.setpoint(time_s, setpoint, thrust)
+        self._sender.send(state.time_s, setpoint, rotor_thrust, thrust)
 
     def _lift_off_thrust(self, time_s: float) -> float:
         settings = self._settings.procedure
         rising_s = max(0.0, time_s - self._lift_off_started_s)
         hovers = settings.lift_off_start + settings.lift_off_rate * rising_s
-        self.lift_off_thrust = hovers * self._thrust.hover_thrust
+        self.lift_off_thrust = hovers * self._sender.thrust.hover_thrust
         if self.lift_off_thrust > settings.lift_off_limit:
             raise Aborted(
                 f"no lift-off at thrust {settings.lift_off_limit:.2f} "

@@ -120,6 +120,8 @@ class Flight:
         """The last acts of every flight: parameters as they were, and the last word in the log."""
         self._watchdog.stop()
         self._put_parameters_back(result)
+        if self._stage.loop is not None:
+            self._recorder.log.metadata("wall setpoints", self._stage.loop.counters)
         self._recorder.log.event(
             "ended", self._vehicle.link.autopilot_time_s, outcome=result.outcome.value, text=result.text
         )

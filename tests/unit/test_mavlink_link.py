@@ -94,6 +94,26 @@ def test_locks_on_to_the_first_and_ignores_everybody_else(wire):
     assert link.counters["lost"] == 0
 
 
+def test_what_nobody_waits_for_is_believed_and_logged_all_the_same(wire):
+    """One datagram holds both, as in lockstep: the flight sees one, the log and the counts both."""
+    transport, link, _, autopilot = wire
+    transport.waiting.append(autopilot.frame(heartbeat()))
+    all_messages(link)
+    tapped = []
+    link.tap = lambda outgoing, time_s, frame: tapped.append((time_s, frame))
+    link.wanted = {mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION}
+    both = [
+        autopilot.frame(local_position(30)),
+        autopilot.frame(attitude(20)),
+        autopilot.frame(local_position(40)),
+    ]
+    transport.waiting.append(b"".join(both))
+    assert kinds(all_messages(link)) == ["ATTITUDE_QUATERNION"]
+    assert tapped == [(0.03, both[0]), (0.03, both[1]), (0.04, both[2])]
+    assert link.autopilot_time_s == 0.04
+    assert link.counters["received"] == 4 and link.counters["lost"] == 0
+
+
 def test_speaks_as_a_component_of_the_vehicle(wire):
     transport, link, _, _ = wire
     transport.waiting.append(Sender(system=7).frame(heartbeat()))
