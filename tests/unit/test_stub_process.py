@@ -89,6 +89,36 @@ def test_lockstep_gives_the_same_bytes_twice() -> None:
     assert digests[0][0] > 1500
 
 
+def test_in_lockstep_motion_comes_with_the_question_and_the_rest_behind_it() -> None:
+    """Read from the bare socket: what lies in which datagram. In real time each frame has its own, as PX4 sends them."""
+    reader = mavlink.MAVLink(None)
+    for lockstep in (True, False):
+        with Stub(lockstep=lockstep, speed=5.0) as stub:
+            port = int(stub.endpoint.rpartition(":")[2])
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+                client.bind(("127.0.0.1", port))
+                client.settimeout(10.0)
+                behind: set[str] = set()
+                asking = shared = 0
+                for _ in range(600):
+                    data, stub_address = client.recvfrom(65535)
+                    messages = reader.parse_buffer(bytearray(data)) or []
+                    names = [message.get_type() for message in messages]
+                    shared += len(names) > 1
+                    if "TIMESYNC" not in names or messages[-1].tc1 != 0:
+                        behind.update(names)
+                        continue
+                    asking += len(names) > 1
+                    if len(names) > 1 and asking > 1:  # not the very first, with its HEARTBEAT
+                        assert names.index("TIMESYNC") == len(names) - 1
+                    client.sendto(
+                        mavlink.MAVLink(None).timesync_encode(1, messages[-1].ts1).pack(reader), stub_address
+                    )
+        assert (shared > 100) is lockstep and (asking > 100) is lockstep
+        assert ("ATTITUDE" in behind) is not lockstep
+        assert {"HIGHRES_IMU", "HEARTBEAT"} <= behind
+
+
 def test_ready_line_comes_fast_and_port_is_free() -> None:
     started = time.monotonic()
     with Stub() as first, Stub() as second:
