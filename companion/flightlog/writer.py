@@ -280,7 +280,8 @@ class FlightLog:
                     queue.append(item)  # asked for once and needed: again when there is room
             except Exception as error:
                 self._rejected += 1
-                self._unfit = f"{item[0]}: {error}"
+                what = item[1].spec.topic if item[0] == "record" else item[0]
+                self._unfit = f"{what}: {error}"
             if file.pending_bytes > MAXIMUM_CHUNK_BYTES:
                 self._flush()
         self._report_losses()
@@ -367,7 +368,7 @@ class FlightLog:
             ]
         )
         if len(body) != 8 * spec.width:
-            raise ValueError(f"{spec.topic} takes {spec.width} numbers, was given {len(body) / 8:g}")
+            raise ValueError(f"takes {spec.width} numbers, was given {len(body) / 8:g}")
         if not channel.channel_id:
             self._lost += 1  # the disk refused the channel itself; it is tried again
             return

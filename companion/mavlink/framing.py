@@ -93,7 +93,7 @@ class Framer:
             start = self._position
             if data[start] == MAGIC_V2 and start + 12 <= end and not data[start + 2]:  # as nearly all are
                 after = start + data[start + 1] + 12
-                if data[after] in _MAGICS if after < end else after == end and not self._stream:
+                if (after < end and data[after] in _MAGICS) or (after == end and not self._stream):
                     self._start, self._position = start, after
                     return bytes(data[start:after])
             length = frame_length(data, start)

@@ -81,8 +81,9 @@ class Received:
         return None if layout is None or layout.stamp_us_at < 0 else self._integer(layout.stamp_us_at, 8)
 
     def _integer(self, place: int, size: int) -> int:
-        start, end = self._head + place, self._head + self._length  # zeros at the end are not sent
-        return int.from_bytes(self.msg_frame[start : start + size if start + size < end else end], "little")
+        start, end = self._head + place, self._head + self._length
+        part = self.msg_frame[start : min(start + size, end)]  # zeros at the end are not sent
+        return int.from_bytes(part, "little")
 
     def get_msgId(self) -> int:
         """As pymavlink's."""

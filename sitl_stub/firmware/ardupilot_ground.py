@@ -1,5 +1,6 @@
 """Whether the vehicle is on the ground, or lies there, as ArduCopter tells: from throttle, tilt, acceleration and speed,
-not truth. `land_detector.cpp`, `crash_check.cpp`.
+not from its height. Of truth only the change of velocity is used, for the accelerometers that integrate it.
+`land_detector.cpp`, `crash_check.cpp`.
 """
 
 from __future__ import annotations

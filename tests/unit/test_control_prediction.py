@@ -146,3 +146,24 @@ def test_a_free_spin_keeps_its_angular_momentum():
     np.testing.assert_allclose(
         matrix_of(ahead.quaternion_wxyz) @ after, before, atol=0.01 * np.linalg.norm(before)
     )
+
+
+def test_only_the_newest_setpoints_are_remembered_however_many_there_were():
+    """2,000 setpoints, 20 seconds: the prediction is that of a predictor that was given the last RING of them alone."""
+    long, short = (
+        Predictor(profile(0.05), ControlLevel.ATTITUDE),
+        Predictor(profile(0.05), ControlLevel.ATTITUDE),
+    )
+    rng = np.random.default_rng(3)
+    for k in range(2000):
+        setpoint = wild_setpoint(rng, ControlLevel.ATTITUDE, 0.01 * k)
+        long.sent(0.01 * k, setpoint)
+        if k >= 2000 - RING:
+            short.sent(0.01 * k, setpoint)
+        if k % 97 == 0 and k > 2 * RING:  # at every place in the rows
+            assert np.all(np.diff(long._ring[:, 0]) > 0.0)
+    short._mass = long._mass
+    state = VehicleState(19.99, np.zeros(3), np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3))
+    ours, theirs = long.predict(state), short.predict(state)
+    assert ours.position_enu.tolist() == theirs.position_enu.tolist()
+    assert ours.quaternion_wxyz.tolist() == theirs.quaternion_wxyz.tolist()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
+import sys
 
 import pytest
 
@@ -44,8 +45,10 @@ def test_where_all_is_allowed_nothing_is_said(monkeypatch) -> None:
     assert libc.asked == [1 | 2]  # MCL_CURRENT, MCL_FUTURE
     assert gc.get_freeze_count() > 0
     assert gc.get_threshold()[0] == realtime.YOUNG_OBJECTS
+    assert sys.getswitchinterval() == pytest.approx(realtime.SWITCH_INTERVAL_S)
     realtime.restore()
     assert gc.get_threshold()[0] != realtime.YOUNG_OBJECTS
+    assert sys.getswitchinterval() == pytest.approx(0.005)
     assert asked[-1] == (os.SCHED_OTHER, 0)
     assert libc.asked[-1] == 0
     assert gc.get_freeze_count() == 0
