@@ -33,7 +33,9 @@ CAPABILITIES = 64495
 FLIGHT_SW_VERSION = 67567616  # 4.7.0 dev
 GIT_HASH = b"2598e9d4"
 BOARD_UID = b"3d1219c7c4c54040"
-QUADROTOR, ARDUPILOTMEGA = 2, 3
+ARDUPILOTMEGA = 3
+MAV_TYPE_OF_FRAME_CLASS = {1: 2, 2: 13, 3: 14}
+"""FRAME_CLASS quad, hexa, octa: MAV_TYPE_QUADROTOR, _HEXAROTOR, _OCTOROTOR."""
 STABILIZE_FLAG, GUIDED_FLAG, MANUAL_FLAG, CUSTOM_FLAG, ARMED_FLAG = 16, 8, 64, 1, 128
 STATE_STANDBY, STATE_ACTIVE = 3, 4
 MULTICOPTER = 3
@@ -175,7 +177,8 @@ class ArduPilotMessages:
         base |= GUIDED_FLAG if self.place_controlled else 0
         base |= ARMED_FLAG if a.armed else 0
         status = STATE_STANDBY if a.landed else STATE_ACTIVE
-        return (a.mode.number, QUADROTOR, ARDUPILOTMEGA, base, status, 3)
+        kind = MAV_TYPE_OF_FRAME_CLASS.get(int(a.parameters["FRAME_CLASS"]), 0)
+        return (a.mode.number, kind, ARDUPILOTMEGA, base, status, 3)
 
     def sys_status(self, link: Link) -> Values:
         """SYS_STATUS: sensors, the pre-arm bit (28) for the present mode, battery."""

@@ -127,7 +127,7 @@ class Px4Messages:
             status = STATUS_CRITICAL if c.failsafe else STATUS_ACTIVE
         else:
             status = STATUS_STANDBY if c.ready_to_arm else STATUS_UNINIT
-        return (c.mode.custom_mode, 2, 12, base, status, 3)
+        return (c.mode.custom_mode, int(a.parameters["MAV_TYPE"]), 12, base, status, 3)
 
     def sys_status(self, link: Link) -> Values:
         """SYS_STATUS: sensors, the pre-arm bit (28) for the present mode, battery."""
