@@ -6,12 +6,6 @@ import argparse
 import json
 from typing import Any
 
-from rich.console import Console
-
-from companion.analysis.metrics import flight_metrics
-from companion.analysis.table import flight_table
-from companion.flightlog.reader import read_log
-
 EXAMPLE = """examples:
   companion analyze flights/flight.mcap
   companion analyze flights/flight.mcap --from 8 --to 40 --json
@@ -59,6 +53,9 @@ def add_window(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Analyze and print. Raises UserError for what is no log or a window outside the tracking."""
+    from companion.analysis.metrics import flight_metrics
+    from companion.flightlog.reader import read_log
+
     record = read_log(arguments.log)
     metrics, tracking = flight_metrics(record, arguments.from_s, arguments.to_s)
     if arguments.report:
@@ -68,6 +65,10 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps(metrics.to_json(), indent=2, ensure_ascii=False, allow_nan=False))
         return 0
+    from rich.console import Console
+
+    from companion.analysis.table import flight_table
+
     console = Console()
     console.print(flight_table(metrics))
     if arguments.report:
