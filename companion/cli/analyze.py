@@ -6,6 +6,8 @@ import argparse
 import json
 from typing import Any
 
+from companion.cli.fly import told_report
+
 EXAMPLE = """examples:
   companion analyze flights/flight.mcap
   companion analyze flights/flight.mcap --from 8 --to 40 --json
@@ -58,19 +60,21 @@ def run(arguments: argparse.Namespace) -> int:
 
     record = read_log(arguments.log)
     metrics, tracking = flight_metrics(record, arguments.from_s, arguments.to_s)
-    if arguments.report:
+    report, code = arguments.report, 0
+    if report:
         from companion.analysis.report import write_flight_report  # matplotlib takes its time to load
 
-        write_flight_report(record, metrics, tracking, arguments.report)
+        if not told_report(lambda: write_flight_report(record, metrics, tracking, arguments.report)):
+            report, code = None, 2
     if arguments.json:
         print(json.dumps(metrics.to_json(), indent=2, ensure_ascii=False, allow_nan=False))
-        return 0
+        return code
     from rich.console import Console
 
     from companion.analysis.table import flight_table
 
     console = Console()
     console.print(flight_table(metrics))
-    if arguments.report:
-        console.print(f"report: {arguments.report}", soft_wrap=True, highlight=False)
-    return 0
+    if report:
+        console.print(f"report: {report}", soft_wrap=True, highlight=False)
+    return code

@@ -12,7 +12,12 @@ import pytest
 def run(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
     kept = {k: v for k, v in os.environ.items() if k not in ("HOME", "XDG_CACHE_HOME", "NUMBA_CACHE_DIR")}
     return subprocess.run(
-        [sys.executable, "-c", code], env=kept | environment, capture_output=True, text=True, timeout=120
+        [sys.executable, "-c", code],
+        check=False,
+        env=kept | environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
     )
 
 
