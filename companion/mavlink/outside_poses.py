@@ -3,7 +3,8 @@
 Time. The source stamps with a clock of its own. The quickest datagram of the last seconds tells how that clock stands to
 ours (all others were only later), so jitter of the network does not get into the time stamps; its least delay does, and
 is for the autopilot's parameter (PX4: EKF2_EV_DELAY, ArduPilot: VISO_DELAY_MS). ODOMETRY goes out with time_usec on the
-clock with which we answer the autopilot's TIMESYNC questions: PX4 maps it to its own by them, ArduPilot by a filter.
+clock with which we answer the autopilot's TIMESYNC questions (`Link.answering_clock_ns`): PX4 maps it to its own by them,
+ArduPilot by a filter of its own. Both filters are slow to follow a drift, so that clock keeps step with the autopilot's.
 
 Frames. PX4 takes MAV_FRAME_LOCAL_NED, so that yaw is a heading; ArduPilot takes MAV_FRAME_LOCAL_FRD only and drops all
 else without a word. The numbers are the same: north-east-down of the source's origin.
@@ -34,6 +35,7 @@ from companion.mavlink.pose_datagram import (
     parse_pose,
     upper_triangle,
 )
+from companion.mavlink.transport import resolve
 
 DEFAULT_RATE_HZ = 50.0  # PX4 advises 30 to 50
 DATAGRAMS_PER_POLL = 64
@@ -61,12 +63,12 @@ class OutsidePoses:
         Raises:
             UserError: the address cannot be listened on.
         """
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setblocking(False)
         try:
-            self._socket.bind(address)
+            family, place = resolve(*address, socket.SOCK_DGRAM, True)
+            self._socket = socket.socket(family, socket.SOCK_DGRAM)
+            self._socket.setblocking(False)
+            self._socket.bind(place)
         except OSError as error:
-            self._socket.close()
             raise UserError(
                 f"--outside-poses {address[0]}:{address[1]}: {error.strerror}; "
                 "is another program listening there? 0.0.0.0 listens on all addresses"
@@ -87,6 +89,8 @@ class OutsidePoses:
         self._told_s: dict[str, float] = {}
         self.local_ned = True
         """Whether the autopilot takes MAV_FRAME_LOCAL_NED (PX4) or MAV_FRAME_LOCAL_FRD only (ArduPilot)."""
+        self.stamped_ns: Callable[[int], int] = lambda our_ns: our_ns
+        """What the clock says that the autopilot knows from our TIMESYNC answers, at a moment of ours."""
         self.on_pose: Callable[[OutsidePose], None] = lambda _: None
         """Called with every pose that is readable, new and not late, before jumps and the rate are looked at."""
         self.counters: Counter[str] = Counter()
@@ -95,7 +99,7 @@ class OutsidePoses:
     @property
     def address(self) -> tuple[str, int]:
         """Where we listen."""
-        host, port = self._socket.getsockname()
+        host, port, *_ = self._socket.getsockname()
         return str(host), int(port)
 
     def fileno(self) -> int:
@@ -171,7 +175,7 @@ class OutsidePoses:
         if pose.covariance is not None:
             covariance = upper_triangle(_covariance_ned_frd(full_covariance(pose.covariance))).tolist()
         return mav.MAVLink_odometry_message(
-            round(our_time_s * 1e6),
+            round(self.stamped_ns(round(our_time_s * 1e9)) * 1e-3),
             mav.MAV_FRAME_LOCAL_NED if self.local_ned else mav.MAV_FRAME_LOCAL_FRD,
             mav.MAV_FRAME_BODY_FRD,
             *position.tolist(),
