@@ -19,6 +19,7 @@ from mavlink_wire import (
 )
 
 from companion.autopilot.adapter import VehicleStatus
+from companion.config.errors import UserError
 from companion.flight.vehicle import Vehicle
 from companion.mavlink.framing import is_signed
 from companion.mavlink.link import Link
@@ -200,7 +201,7 @@ def arrivals(wire, sequences):
         ([10, 12, 11, 13, 14], 1),  # 11 came late: it was missed once, and nothing after it
         ([10, 11, 11, 12], 0),  # twice
         ([200, 0, 1, 2], 55),  # 201 to 255
-        ([100, 0, 1, 2], 0),  # begins again: not 155 lost ones
+        ([100, 0, 1, 2], 155),  # 101 to 255: more than half a turn
     ],
 )
 def test_loss_is_counted_by_sequence_numbers(wire, sequences, lost):
@@ -527,3 +528,24 @@ def test_the_round_trip_is_known_in_the_autopilots_time(wire):
     all_messages(link)
     assert link.timesync.round_trip_s == pytest.approx(0.001)
     assert link.timesync.autopilot_trip_s == pytest.approx(0.15)
+
+
+@pytest.mark.parametrize("system", [None, 2])
+def test_two_autopilots_are_refused_unless_one_is_named(system):
+    transport, notices = MemoryTransport(), []
+    vehicle = Vehicle(Link(transport, system=system), 5.0)
+    vehicle.on_notice = notices.append
+    two = Sender(2)
+    for sender in (Sender(1), two, Sender(255, 190)):
+        transport.waiting.append(sender.frame(heartbeat()))
+    version = mav.MAVLink_autopilot_version_message(*(0,) * 5, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0)
+    transport.waiting.append(two.frame(version))
+    if system is None:
+        with pytest.raises(
+            UserError, match=r"2 autopilots .*PX4, system 1; PX4, system 2.*--system 1 or --system 2"
+        ):
+            vehicle.connect(5.0)
+    else:
+        vehicle.connect(5.0)
+        assert vehicle.link.target_system == 2
+        assert notices == ["another autopilot is heard on this link (PX4, system 1); we fly PX4, system 2"]
