@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 import socket
+import statistics
 import time
 from collections import Counter, deque
 from collections.abc import Callable
@@ -40,6 +41,9 @@ from companion.mavlink.transport import resolve
 DEFAULT_RATE_HZ = 50.0  # PX4 advises 30 to 50
 DATAGRAMS_PER_POLL = 64
 CLOCK_WINDOW_S = 5.0  # of datagrams that the source's clock is judged by
+CLOCK_TURN_S = 0.1  # one least difference is kept of each such time, and the clocks' drift fitted over them
+LEAST_TURNS = 4
+FASTEST_DRIFT = 0.02
 LATE_S = 0.2  # behind the quickest datagram: the pose is history
 SILENT_S = 0.5
 SHORTEST_STEP_S = 1e-4  # from pose to pose; closer ones give differences that are no velocities
@@ -77,7 +81,9 @@ class OutsidePoses:
         self._now_ns = now_ns
         self._delays: deque[tuple[float, float]] = (
             deque()
-        )  # (our time, our time − source's), delays ascending
+        )  # (our time, our time − source's), the least of each CLOCK_TURN_S
+        self._turn_s = -math.inf
+        self._drift = 0.0  # by how much the source's clock is slower than ours
         self._last: OutsidePose | None = None
         self._due_s = -math.inf  # on the source's clock
         self._last_true_s = -math.inf  # on ours
@@ -198,12 +204,15 @@ class OutsidePoses:
     def _our_time(self, source_s: float, arrived_s: float) -> float:
         """When, on our clock, a pose was true: by the least difference of the clocks within the window."""
         delays, delay = self._delays, arrived_s - source_s
-        while delays and delays[-1][1] >= delay:
-            delays.pop()
-        delays.append((arrived_s, delay))
-        while delays[0][0] < arrived_s - CLOCK_WINDOW_S:
-            delays.popleft()
-        return source_s + delays[0][1]
+        if not delays or arrived_s - self._turn_s > CLOCK_TURN_S:
+            self._turn_s = arrived_s
+            while delays and delays[0][0] < arrived_s - CLOCK_WINDOW_S:
+                delays.popleft()
+            self._drift = _slope(list(delays))
+            delays.append((arrived_s, delay))
+        elif delay <= delays[-1][1] + self._drift * (arrived_s - delays[-1][0]):
+            delays[-1] = arrived_s, delay
+        return source_s + min(least + self._drift * (arrived_s - then) for then, least in delays)
 
     def _start_again(self) -> None:
         self._delays.clear()
@@ -259,6 +268,14 @@ class OutsidePoses:
         elif self._silent:
             self.notices.append(f"poses from outside: back after {now_s - self._heard_s:.1f} s")
         self._heard_s, self._silent = now_s, False
+
+
+def _slope(points: list[tuple[float, float]]) -> float:
+    """Median slope of all pairs of points (Theil and Sen); 0 where there are too few, at most FASTEST_DRIFT."""
+    if len(points) < LEAST_TURNS:
+        return 0.0
+    slopes = [(d - c) / (b - a) for n, (a, c) in enumerate(points) for b, d in points[n + 1 :] if b > a]
+    return min(max(statistics.median(slopes), -FASTEST_DRIFT), FASTEST_DRIFT) if slopes else 0.0
 
 
 def _to_body(quaternion_wxyz: Vector, vector: Vector) -> Vector:
