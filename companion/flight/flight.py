@@ -182,6 +182,8 @@ class Flight:
         )  # milliseconds, so on the ground: at lift-off only its climb is planned anew
         self._announce(plan)
         self._stage.enter(Phase.LIFT_OFF)
+        vehicle.taken_off = True
+        vehicle.link.look_out(False)
         assert vehicle.state is not None
         loop.idle(level_with_heading(ground.yaw_rad))
         loop.lift_off(vehicle.state.time_s, vehicle.adapter.spool_time_s, self._watch_over(ground))
@@ -220,7 +222,8 @@ class Flight:
         autopilot_s = link.autopilot_time_s - self._clocks_s[0]
         ours_s = time.monotonic() - self._clocks_s[1]
         apart_s = abs(autopilot_s - ours_s)
-        self._real_time = link.timesync.steady and apart_s < 0.05 + REAL_TIME_TOLERANCE * ours_s
+        together = link.timesync.steady and apart_s < 0.05 + REAL_TIME_TOLERANCE * ours_s
+        self._real_time = together or not vehicle.simulated
         self._recorder.log.metadata("wall clock", {"real_time": str(self._real_time)})
         supervisor = self._journal.supervisor = Supervisor(
             settings.safety,

@@ -28,13 +28,18 @@ from companion.mavlink.protocol import (
     request_message,
 )
 from companion.mavlink.state import STATE_MESSAGES, StateAssembler
+from companion.mavlink.status_text import StatusText, StatusTexts
 
 POLL_S = 0.05
 POSE_POLL_S = 0.005
 ACK_TIMEOUT_S = 1.0
+IN_PROGRESS_S = 3.0  # from one "in progress" to the next word
+LISTEN_S = 1.2  # for a second autopilot: a HEARTBEAT comes every second
 TRIES = 4
 HEARTBEATS_OF_A_CLOCK_THAT_STANDS = 5
 _TIMESYNC: int = mav.MAVLINK_MSG_ID_TIMESYNC
+_HEARTBEAT: int = mav.MAVLINK_MSG_ID_HEARTBEAT
+_STATUSTEXT: int = mav.MAVLINK_MSG_ID_STATUSTEXT
 _COMMAND_ACK: int = mav.MAVLINK_MSG_ID_COMMAND_ACK
 _PARAM_VALUE: int = mav.MAVLINK_MSG_ID_PARAM_VALUE
 HANDLED = STATE_MESSAGES | STATUS_MESSAGES | TRUTH_MESSAGES | {_TIMESYNC, _COMMAND_ACK, _PARAM_VALUE}
@@ -52,6 +57,10 @@ class Vehicle:
         self.assembler = StateAssembler()
         self.commands = CommandClient(link)
         self.parameters = ParameterClient(link)
+        self._texts = StatusTexts()
+        self._others_told = 0
+        self.taken_off = False
+        """Before, a second autopilot on the link is a reason not to fly; from then on it is only told."""
         self.version = (0, 0, 0)
         self.simulated = False  # only a simulation publishes its true state
         self.silence_limit_s = silence_limit_s
@@ -79,6 +88,8 @@ class Vehicle:
         asked_s = time.monotonic()
         while not condition():
             self.watch()
+            if len(link.other_autopilots) > self._others_told:
+                self._judge_others()
             if bounded and min(link.clock_stands_s, time.monotonic() - asked_s) > timeout_s:
                 raise WaitedTooLong(f"{what or 'the autopilot'}: nothing after {timeout_s:.0f} s")
             if self.outside_poses is not None:
@@ -132,6 +143,7 @@ class Vehicle:
 
     def _forward_poses(self, poses: OutsidePoses) -> None:
         poses.on_pose = self._compare_pose
+        poses.stamped_ns = self.link.answering_clock_ns
         for message in poses.poll():
             self.link.send(message)
         while poses.notices:
@@ -155,8 +167,13 @@ class Vehicle:
             return
         if kind in TRUTH_MESSAGES:
             self.simulated = True
+        elif kind == _STATUSTEXT:
+            self._hear_texts(self._texts.take(message, time.monotonic()))
+            return
         elif kind in STATUS_MESSAGES:
             self.status.take(message)
+            if kind == _HEARTBEAT:
+                self._hear_texts(self._texts.overdue(time.monotonic()))
         elif kind == _COMMAND_ACK:
             self.commands.take(message)
         elif kind == _PARAM_VALUE:
@@ -167,6 +184,29 @@ class Vehicle:
             if state is not None:
                 self.state = state
                 self.on_state(state)
+
+    def _hear_texts(self, texts: list[StatusText]) -> None:
+        for each in texts:
+            message = mav.MAVLink_statustext_message(each.severity, each.text)
+            self.status.take(message)
+            self.on_message(message)
+
+    def _judge_others(self) -> None:
+        """Somebody else's autopilot is on this link.
+
+        Raises:
+            UserError: we are not in the air, and nobody has said which one is meant.
+        """
+        link, others = self.link, self.link.other_autopilots
+        self._others_told = len(others)
+        ours = f"{self.adapter.name}, system {link.target_system}"
+        names = [ours, *(others[system] for system in sorted(others))]
+        if not self.taken_off and link.system_wanted is None:
+            ids = " or ".join(f"--system {system}" for system in sorted((link.target_system or 0, *others)))
+            raise UserError(
+                f"{len(names)} autopilots on this link ({'; '.join(names)}); say which one with {ids}"
+            )
+        self.on_notice(f"another autopilot is heard on this link ({'; '.join(names[1:])}); we fly {ours}")
 
     # Getting to know it -----------------------------------------------------------------------------
 
@@ -192,6 +232,8 @@ class Vehicle:
                 raise UserError(self._why_nobody(timeout_s))
         self._pass_notices()
         heartbeat = self.link.heartbeat
+        self.link.look_out(True)
+        listened = self._listened()
         self.adapter = adapter_for(heartbeat.autopilot, heartbeat.type)
         self.parameters.bytewise = self.adapter.bytewise_parameters
         if self.outside_poses is not None:
@@ -218,11 +260,34 @@ class Vehicle:
             raise UserError(
                 "the autopilot signs its messages and answers nothing that is not signed: give --signing-key FILE"
             )
+        self.until(listened)
+
+    def _listened(self) -> Callable[[], bool]:
+        """A condition for `until`: another autopilot would have been heard by now, if there were one.
+
+        By the autopilot's clock or ours, whichever is sooner there: a simulation may run faster. One that tells no time
+        tells it by its HEARTBEATs.
+        """
+        link, begun_s, first, told_s = self.link, time.monotonic(), self.link.heartbeat, math.nan
+
+        def enough() -> bool:
+            nonlocal told_s
+            if math.isnan(told_s) and link.autopilot_time_s > 0.0:
+                told_s = link.autopilot_time_s
+            untimed = math.isnan(told_s) and link.heartbeat is not first
+            passed_s = max(time.monotonic() - begun_s, link.autopilot_time_s - told_s)
+            return untimed or passed_s >= LISTEN_S
+
+        return enough
 
     def _why_nobody(self, timeout_s: float) -> str:
         counters = self.link.counters
         refused = self.link.refused
-        if self.link.not_open:
+        others = self.link.other_autopilots
+        if others:
+            names = "; ".join(others[system] for system in sorted(others))
+            heard = f"heard was {names}, but --system {self.link.system_wanted} is wanted"
+        elif self.link.not_open:
             heard = self.link.not_open
         elif refused:
             heard = (
@@ -248,11 +313,16 @@ class Vehicle:
         """
         for attempt in range(TRIES):
             self.commands.send(command, again=attempt > 0)
-            try:
-                self.until(lambda: self.commands.result is not None or enough(), ACK_TIMEOUT_S)
-            except WaitedTooLong:
-                continue
-            return self.commands.result
+            heard, timeout_s = 0, ACK_TIMEOUT_S
+            while True:
+                try:
+                    self.until(lambda: self.commands.result is not None or enough(), timeout_s)
+                except WaitedTooLong:
+                    if self.commands.in_progress == heard:
+                        break
+                    heard, timeout_s = self.commands.in_progress, IN_PROGRESS_S
+                    continue
+                return self.commands.result
         return None
 
     def result_word(self, result: int | None) -> str:
