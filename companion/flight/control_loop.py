@@ -269,7 +269,9 @@ class ControlLoop:
         dt_s = min(state.time_s - self._last_step_s, LONGEST_STEP * self.period_s)
         law_ns = time.perf_counter_ns()
         ahead = self._predictor.predict(state)
-        inputs = pack_input(ahead, self._sample(ahead.time_s), dt_s, judgement.gate)
+        inputs = pack_input(
+            ahead, self._sample(ahead.time_s), dt_s, judgement.gate, self._thrust_bounds_newton
+        )
         try:
             result = self._law.step_packed(self._memory, inputs)
         except StepRefused as error:
@@ -286,6 +288,13 @@ class ControlLoop:
         self._recorder.step(state.time_s, memory, inputs, result)
         self._note_bounds(result.terms.flags)
         return law_s
+
+    @property
+    def _thrust_bounds_newton(self) -> tuple[float, float]:
+        """Rotor thrusts go by the profile's numbers; a collective thrust goes by the scale in force."""
+        if self._law.level is ControlLevel.ACTUATOR:
+            return self._law.thrust_bounds_newton
+        return self._sender.thrust.bounds_newton
 
     def _estimate_hover(self, state: VehicleState, trusted: bool) -> None:
         """Let the thrust scale follow what the thrust really does: slowly, so that the law's integrals go along."""
@@ -353,6 +362,7 @@ class ControlLoop:
             jump_enu=jump if jump is not None else _NO_JUMP,
             asked_quaternion=self._sender.asked_quaternion,
             asked_thrust_newton=self._sender.asked_thrust_newton,
+            thrust_bounds_newton=self._thrust_bounds_newton,
             terms=self._terms,
             refused_setpoints=self._sender.refused,
             setpoint_gap_s=state.time_s - self._sender.last_sent_s,

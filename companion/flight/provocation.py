@@ -26,13 +26,12 @@ from companion.mavlink.link import Link
 PERIOD_S = 0.01
 HEALTHY_FLAGS = 895  # ESTIMATOR_STATUS of PX4 in flight
 BOUNDS = LawBounds(
-    thrust_min_newton=2.0,
-    thrust_max_newton=42.0,
     position_weight_bound=8.0,
     attitude_weight_bound=0.6,
     mass_kg=1.0,
     beta=1.0,
 )
+THRUST_BOUNDS_NEWTON = (2.0, 42.0)
 HEIGHT_M = 1.0
 FRAMES_A_STATE = 10
 
@@ -120,6 +119,7 @@ class Scene:
             jump_enu=self.jump,
             asked_quaternion=_attitude(self.asked_tilt, self.yaw),
             asked_thrust_newton=self.thrust_newton,
+            thrust_bounds_newton=THRUST_BOUNDS_NEWTON,
             terms=self._terms(),
             refused_setpoints=self.refused,
             setpoint_gap_s=self.setpoint_gap_s,
@@ -200,9 +200,8 @@ def _tilt(scene: Scene, value: float) -> None:
 
 
 def _margin(scene: Scene, value: float) -> None:
-    scene.thrust_newton = BOUNDS.thrust_max_newton - value * (
-        BOUNDS.thrust_max_newton - BOUNDS.thrust_min_newton
-    )
+    low, high = THRUST_BOUNDS_NEWTON
+    scene.thrust_newton = high - value * (high - low)
 
 
 def _east(scene: Scene, value: float) -> None:

@@ -229,6 +229,8 @@ def _control_loop(
         hover_thrust=hover,
         mass_kg=profile.mass_kg,
         rotor_max_newton=profile.rotors.thrust_max_newton,
+        least=profile.limits.thrust_min_ratio,
+        most=profile.limits.thrust_max_ratio,
         mixer=mixer_of(np.column_stack((arms, np.zeros(len(arms)))), profile.rotors.spins),
     )
     recorder.define_law(law.hidden)
@@ -249,7 +251,9 @@ def _control_loop(
     predictor = Predictor(profile, settings.level, adapter.profile_key)
     gate = SetpointGate(np.radians(profile.limits.body_rate_max_deg_s))
     response = profile.response(adapter.profile_key)
-    estimator = HoverThrustEstimator(hover, response.dead_time(settings.level), profile.rotors.lag_rad_s)
+    estimator = HoverThrustEstimator(
+        hover, response.thrust_dead_time(settings.level), profile.rotors.lag_rad_s
+    )
     return ControlLoop(vehicle, law, predictor, thrust, estimator, settings.flight, recorder, gate)
 
 

@@ -66,8 +66,6 @@ _LOOKED_AT = np.array(
 class LawBounds:
     """What of the law's bounds the supervisor measures against."""
 
-    thrust_min_newton: float
-    thrust_max_newton: float
     position_weight_bound: float  # N
     attitude_weight_bound: float  # N·m
     mass_kg: float  # m̂
@@ -78,8 +76,6 @@ def law_bounds(law: ControlLaw) -> LawBounds:
     """The bounds of a law that has been built."""
     p = law.parameters
     return LawBounds(
-        thrust_min_newton=float(p.thrust_min),
-        thrust_max_newton=float(p.thrust_max),
         position_weight_bound=float(p.position.weight_bound),
         attitude_weight_bound=float(p.attitude.weight_bound),
         mass_kg=float(p.mass_estimate),
@@ -97,6 +93,7 @@ class Sight(NamedTuple):
     jump_enu: Vector  # (3,) m
     asked_quaternion: Vector  # (4,) of the newest setpoint
     asked_thrust_newton: float
+    thrust_bounds_newton: tuple[float, float]  # least and greatest that can be sent
     terms: Terms | None  # of the law's last step, None before the first
     refused_setpoints: int  # in a row
     setpoint_gap_s: float
@@ -316,7 +313,7 @@ class Supervisor:
         values[INDEX["refused_setpoints"]] = float(sight.refused_setpoints)
         values[INDEX["setpoint_gap_s"]] = sight.setpoint_gap_s
         values[INDEX["overrun_share"]] = sight.overrun_share if self._real_time else None
-        low, high, thrust = bounds.thrust_min_newton, bounds.thrust_max_newton, sight.asked_thrust_newton
+        (low, high), thrust = sight.thrust_bounds_newton, sight.asked_thrust_newton
         values[INDEX["thrust_margin"]] = min(thrust - low, high - thrust) / (high - low)
         if sight.terms is None:
             return
