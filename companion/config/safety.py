@@ -95,6 +95,9 @@ QUANTITIES: dict[str, Quantity] = {
     "attitude_age_s": Quantity("s", ends_by=0.5),
     "position_age_s": Quantity("s", ends_by=0.5),
     "position_stuck_s": Quantity("s"),
+    "mode_age_s": Quantity("s"),
+    "estimator_age_s": Quantity("s"),
+    "sys_status_age_s": Quantity("s"),
     "estimator_lost": Quantity("parts", ends_by=0.9),
     "innovation_ratio": Quantity(""),
     "sensors_unhealthy": Quantity("sensors"),
@@ -169,6 +172,13 @@ class SafetyLimits(SettingsModel):
     """Age of the position that the newest attitude goes with."""
     position_stuck_s: Ladder = Ladder(warn=(0.2, 0.0), freeze=(0.3, 0.0), land=(1.0, 0.0))
     """How long fresh messages have repeated one position although they say that it moves."""
+    mode_age_s: Ladder = Ladder(warn=(2.0, 0.0), land=(5.0, 0.0))
+    """Since the autopilot last told its mode (HEARTBEAT, CURRENT_MODE): whether the pilot has taken over is not known."""
+    estimator_age_s: Ladder = Ladder(warn=(1.0, 0.0), land=(3.0, 0.0))
+    """Since the estimator's state was last told (ESTIMATOR_STATUS; EKF_STATUS_REPORT or its bit in SYS_STATUS); where it
+    was told before the flight, for without it none begins."""
+    sys_status_age_s: Ladder = Ladder(warn=(2.0, 0.0), land=(10.0, 0.0))
+    """The same for SYS_STATUS: sensors and battery."""
     estimator_lost: Ladder = Ladder(warn=(0.0, 0.0), land=(0.0, 0.3))
     """What the estimator says it no longer knows: attitude, velocities, position (ESTIMATOR_STATUS, EKF_STATUS_REPORT)."""
     innovation_ratio: Ladder = Ladder(warn=(0.8, 1.0), freeze=(1.0, 0.5), land=(2.0, 2.0))

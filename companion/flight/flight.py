@@ -78,7 +78,7 @@ class Flight:
         self._loop: ControlLoop
         self._stage = Stage(vehicle, recorder, reporter)
         self._descent = Descent(self._stage, settings)
-        self._journal = Journal(self._stage, settings.procedure.connect_timeout_s)
+        self._journal = Journal(self._stage, settings.procedure.connect_timeout_s, settings.safety)
         self._armed_by_now = False  # we count on it
         self._pilot = Pilot(settings.safety.stick_share)
         self._watchdog = LoopWatchdog(settings.safety.stall_s, self._note_stall)
@@ -131,8 +131,7 @@ class Flight:
 
     def _prepare(self) -> None:
         vehicle, reporter = self._vehicle, self._reporter
-        version = ".".join(map(str, vehicle.version))
-        reporter.say(f"{vehicle.adapter.name} {version}, system {vehicle.link.target_system}")
+        reporter.say(f"{vehicle.firmware}, system {vehicle.link.target_system}")
         self._stage.enter(Phase.CHECK)
         checks = self._preflight
         checks.ask_for_streams()

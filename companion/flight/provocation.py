@@ -21,7 +21,7 @@ from companion.control.structs import Reference, Vector, VehicleState
 from companion.flight.one_world import PoseFigures
 from companion.flight.supervisor import Judgement, LawBounds, Sight, Supervisor
 from companion.flightlog.health import LogHealth
-from companion.mavlink.link import Link
+from companion.mavlink.link import Link, mav
 
 PERIOD_S = 0.01
 HEALTHY_FLAGS = 895  # ESTIMATOR_STATUS of PX4 in flight
@@ -163,6 +163,13 @@ def _status(name: str) -> Provocation:
     return provoke
 
 
+def _silence(message_id: int) -> Provocation:
+    def provoke(scene: Scene, value: float) -> None:
+        scene.status.heard_s[message_id] = scene.time_s - value
+
+    return provoke
+
+
 def _lose_estimator(scene: Scene, value: float) -> None:
     scene.status.estimator_flags = HEALTHY_FLAGS & ~(8 | 16) if value > 0.0 else HEALTHY_FLAGS
 
@@ -236,6 +243,9 @@ PROVOCATIONS: dict[str, Provocation] = {
     "attitude_age_s": _set("attitude_age_s"),
     "position_age_s": _set("position_age_s"),
     "position_stuck_s": _stick,
+    "mode_age_s": _silence(mav.MAVLINK_MSG_ID_HEARTBEAT),
+    "estimator_age_s": lambda scene, value: setattr(scene.status, "estimator_told_s", scene.time_s - value),
+    "sys_status_age_s": _silence(mav.MAVLINK_MSG_ID_SYS_STATUS),
     "estimator_lost": _lose_estimator,
     "innovation_ratio": _status("innovation_ratio"),
     "sensors_unhealthy": _status("sensors_unhealthy"),

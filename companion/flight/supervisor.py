@@ -22,6 +22,7 @@ from companion.control.structs import AdaptationGate, Reference, Vector, Vehicle
 from companion.flight.fence import horizontal_margin
 from companion.flight.ladder import START, Change, LadderState, hardest_by_quantity, rung_table, step
 from companion.flight.one_world import SELF_MOVED_M, PoseFigures, TwoPaths
+from companion.flight.sources import SILENT_S
 from companion.flightlog.health import LogHealth
 from companion.mavlink.link import Link, mav
 from companion.mavlink.state import JUMP_M
@@ -35,6 +36,8 @@ LYAPUNOV_SHORT_S, LYAPUNOV_LONG_S, LYAPUNOV_FLOOR_J = 0.5, 5.0, 0.1
 LONGEST_POSITION_GAP_S = 0.3  # over a longer one the velocity says nothing of the position
 FLOOR_COUNTS_FROM_M = 0.2  # above the fence's least height
 MOVING_M_S = 0.2  # a position that moves this fast has to change
+_TELL_THE_MODE = (mav.MAVLINK_MSG_ID_HEARTBEAT, mav.MAVLINK_MSG_ID_CURRENT_MODE)
+_TELL_THE_FLAGS = (mav.MAVLINK_MSG_ID_ESTIMATOR_STATUS, mav.MAVLINK_MSG_ID_EKF_STATUS_REPORT)
 LIFT_OFF_SKIPS = ("position_error_m", "velocity_error_m_s", "yaw_error_deg", "thrust_margin")
 
 INDEX = {name: number for number, name in enumerate(QUANTITIES)}
@@ -336,9 +339,15 @@ class Supervisor:
 
     def _measure_slow(self, time_s: float) -> None:
         values, status = self._values, self._status
-        flags = status.estimator_flags
+        heard_s = status.heard_s
+        told_s = max((heard_s[kind] for kind in _TELL_THE_MODE if kind in heard_s), default=None)
+        values[INDEX["mode_age_s"]] = _age_s(time_s, told_s)
+        values[INDEX["estimator_age_s"]] = _age_s(time_s, status.estimator_told_s)
+        values[INDEX["sys_status_age_s"]] = _age_s(time_s, heard_s.get(mav.MAVLINK_MSG_ID_SYS_STATUS))
+        flags_s = max((heard_s[kind] for kind in _TELL_THE_FLAGS if kind in heard_s), default=time_s)
+        flags = status.estimator_flags if time_s - flags_s < SILENT_S else None
         values[INDEX["estimator_lost"]] = None if flags is None else float(lost_parts(flags))
-        values[INDEX["innovation_ratio"]] = status.innovation_ratio
+        values[INDEX["innovation_ratio"]] = None if flags is None else status.innovation_ratio
         values[INDEX["sensors_unhealthy"]] = status.sensors_unhealthy
         values[INDEX["battery_remaining"]] = status.battery_remaining
         values[INDEX["battery_voltage_v"]] = status.battery_voltage_v
@@ -355,6 +364,10 @@ class Supervisor:
         if health is not None:
             values[INDEX["log_lost"]] = float(health.dropped + health.rejected + health.lost)
             values[INDEX["disk_free_mb"]] = None if health.free_bytes < 0 else health.free_bytes * 1e-6
+
+
+def _age_s(time_s: float, told_s: float | None) -> float | None:
+    return None if told_s is None else max(0.0, time_s - told_s)
 
 
 def lost_parts(flags: int) -> int:

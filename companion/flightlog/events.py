@@ -26,6 +26,7 @@ KINDS: dict[str, str] = {
     "ack": "COMMAND_ACK: command, result",
     "warning": "something to know: text",
     "safety": "the supervisor reacted: reaction, reason, and the numbers it acted on",
+    "blind": "a message that something rests on is not heard, or leaves it open: active (bool), text",
     "log": "the log itself had trouble: text, and how many records it cost",
     "ended": "how the flight ended: outcome, text",
 }
