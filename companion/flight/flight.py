@@ -37,6 +37,7 @@ from companion.flight.reporter import Reporter
 from companion.flight.stage import FlightRequest, FlightResult, Interrupts, Stage
 from companion.flight.supervisor import Supervisor, law_bounds
 from companion.flight.vehicle import HANDLED, Vehicle
+from companion.flightlog.reactions import in_words, reaction_times
 from companion.mavlink.link import Message, mav
 from companion.reference.trajectory import Placed, place
 from companion.reference.transit import TransitLimits
@@ -120,8 +121,11 @@ class Flight:
         """The last acts of every flight: parameters as they were, and the last word in the log."""
         self._watchdog.stop()
         self._put_parameters_back(result)
-        if self._stage.loop is not None:
-            self._recorder.log.metadata("wall setpoints", self._stage.loop.counters)
+        loop = self._stage.loop
+        if loop is not None:
+            reacted = in_words(reaction_times(loop.reactions, loop.controlled_until_s))
+            result = replace(result, text=f"{result.text}; {reacted}") if reacted else result
+            self._recorder.log.metadata("wall setpoints", loop.counters)
         self._recorder.log.event(
             "ended", self._vehicle.link.autopilot_time_s, outcome=result.outcome.value, text=result.text
         )

@@ -27,6 +27,7 @@ KINDS: dict[str, str] = {
     "warning": "something to know: text",
     "safety": "the supervisor reacted: reaction, reason, and the numbers it acted on",
     "blind": "a message that something rests on is not heard, or leaves it open: active (bool), text",
+    "estimator_reset": "the estimate jumped and the plan went along: jump_enu [m], yaw_jump_rad",
     "log": "the log itself had trouble: text, and how many records it cost",
     "ended": "how the flight ended: outcome, text",
 }
