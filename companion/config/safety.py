@@ -274,6 +274,11 @@ class SafetyLimits(SettingsModel):
     """Our clock, in real time: a loop that has not come round for so long sends nothing more and lands, s."""
     stick_share: float = Field(default=0.15, gt=0.0, le=1.0)
     """Travel of a stick, as a share of 1000 µs, that means that the pilot takes over (RC_CHANNELS 1 to 4)."""
+    rc_lost: Literal["land", "fly_on"] = "land"
+    """What follows where the pilot's transmitter was there and is lost (RC_CHANNELS, SYS_STATUS): that is no pilot."""
+    hand_over_s: Positive = 10.0
+    """After sticks took the vehicle from us: without a mode change or a movement of the sticks for so long nobody has it,
+    and it is landed, s."""
     silence_s: Positive = 3.0
     """Silence of the whole link, on our clock, before it is given up, s."""
 

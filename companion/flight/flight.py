@@ -82,6 +82,8 @@ class Flight:
         self._journal = Journal(self._stage, settings.procedure.connect_timeout_s, settings.safety)
         self._armed_by_now = False  # we count on it
         self._pilot = Pilot(settings.safety.stick_share)
+        self._transmitter_lost = False
+        self._handed_over_s = 0.0
         self._watchdog = LoopWatchdog(settings.safety.stall_s, self._note_stall)
         self._real_time = False
         self._clocks_s = (0.0, 0.0)  # the autopilot's and ours, when it was ready
@@ -378,7 +380,10 @@ class Flight:
         if self._armed_by_now and not vehicle.status.armed:
             raise PilotTookOver("disarmed in flight" if self._stage.airborne else "disarmed")
         if moved := self._pilot.moved_sticks():
+            self._handed_over_s = vehicle.link.autopilot_time_s
+            self._stage.nobody_has_it = self._nobody_has_it
             raise PilotTookOver(f"sticks moved: {moved}")
+        self._watch_transmitter()
         if self._watchdog.tripped:
             stood_s = self._watchdog.longest_s
             self._watchdog.reset()
@@ -387,9 +392,38 @@ class Flight:
             )
         self._loop.check_absence()
 
+    def _watch_transmitter(self) -> None:
+        """A lost transmitter is no pilot: said, and landed or flown on with as set."""
+        now_s, safety = self._vehicle.link.autopilot_time_s, self._settings.safety
+        lost = self._pilot.lost_transmitter(now_s)
+        if bool(lost) == self._transmitter_lost:
+            return
+        self._transmitter_lost = bool(lost)
+        text = f"RC lost: {lost}" if lost else "RC is back"
+        self._recorder.log.event("rc", now_s, lost=bool(lost), text=text)
+        if lost and safety.rc_lost == "land":
+            raise Aborted(f"{text} (flight.safety.rc_lost is land)")
+        self._reporter.say(f"{text}; flying on" if lost else text)
+
+    def _nobody_has_it(self) -> str:
+        """Why nobody has the vehicle although it was handed over to the sticks; empty where somebody has."""
+        vehicle, now_s = self._vehicle, self._vehicle.link.autopilot_time_s
+        if not any(
+            vehicle.adapter.is_mode(vehicle.status.custom_mode, intent)
+            for intent in (Intent.EXTERNAL, Intent.HOLD)
+        ):
+            return ""
+        if lost := self._pilot.lost_transmitter(now_s):
+            return f"RC lost since: {lost}"
+        waited_s = now_s - max(self._handed_over_s, self._pilot.alive_s)
+        if waited_s < self._settings.safety.hand_over_s:
+            return ""
+        return f"nobody has chosen a mode or moved a stick for {waited_s:.0f} s"
+
     def _on_message(self, message: Message) -> None:
         if message.get_msgId() == _RC_CHANNELS:
-            self._pilot.take(message)
+            vehicle = self._vehicle
+            self._pilot.take(message, vehicle.link.autopilot_time_s, vehicle.status.receiver_healthy)
         self._journal.take(message)
 
     # Afterwards ------------------------------------------------------------------------------------------
