@@ -134,6 +134,7 @@ class VehicleStatus:
     battery_voltage_v: float | None = None
     global_origin: tuple[float, float, float] | None = None  # latitude °, longitude °, altitude m
     texts: list[tuple[int, str]] = field(default_factory=list)  # (severity, text), newest last, bounded
+    height_accuracy_m: float | None = None  # by how much the estimated height may be wrong (ESTIMATOR_STATUS)
     receiver_healthy: bool | None = None  # None: not told, or no receiver enabled
     heard_s: dict[int, float] = field(
         default_factory=dict
@@ -173,6 +174,11 @@ class VehicleStatus:
             self.estimator_flags = message.flags  # the low bits mean the same in both messages
             names = _ESTIMATOR_RATIOS if kind == mav.MAVLINK_MSG_ID_ESTIMATOR_STATUS else _EKF_VARIANCES
             ratios = [float(getattr(message, name)) for name in names]
+            if kind == mav.MAVLINK_MSG_ID_ESTIMATOR_STATUS:
+                accuracy_m = float(message.pos_vert_accuracy)
+                self.height_accuracy_m = (
+                    accuracy_m if accuracy_m > 0.0 and math.isfinite(accuracy_m) else None
+                )
             self.innovation_ratio = max((ratio for ratio in ratios if math.isfinite(ratio)), default=None)
         elif kind == mav.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN:
             self.global_origin = (message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3)

@@ -117,6 +117,7 @@ QUANTITIES: dict[str, Quantity] = {
     "fence_margin_m": Quantity("m", below=True, ends_by=0.0),
     "ceiling_margin_m": Quantity("m", below=True, ends_by=0.0),
     "floor_margin_m": Quantity("m", below=True),
+    "ground_support": Quantity(""),
     "battery_remaining": Quantity("", below=True),
     "battery_voltage_v": Quantity("V", below=True),
     "round_trip_s": Quantity("s"),
@@ -224,6 +225,9 @@ class SafetyLimits(SettingsModel):
     """Distance below the greatest height, negative above it."""
     floor_margin_m: Ladder = Ladder(land=(0.0, 0.2))
     """Distance above the least height, negative below it."""
+    ground_support: Ladder = Ladder(warn=(0.2, 0.3), land=(0.3, 0.4))
+    """Share of the weight that neither thrust nor acceleration accounts for over 0.5 s, below 2 m and from 5 s after
+    lift-off: what the ground carries. 1 where the land detector says ground, or it does not turn towards what is asked."""
     battery_remaining: Ladder = Ladder(warn=(0.25, 5.0), land=(0.12, 5.0))
     """Share of the charge that is left (SYS_STATUS); unknown counts as full."""
     battery_voltage_v: Ladder = Ladder()

@@ -368,6 +368,8 @@ class ControlLoop:
             refused_setpoints=self._sender.refused,
             setpoint_gap_s=state.time_s - self._sender.last_sent_s,
             overrun_share=self._overrun_share,
+            thrust_hovers=self._sender.asked_thrust_newton
+            / self._sender.thrust.newton(self._sender.thrust.hover_thrust),
             poses=self._vehicle.pose_figures(state.time_s),
         )
         return watching.supervisor.judge(state, sight, lifting_off)

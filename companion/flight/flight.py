@@ -39,7 +39,7 @@ from companion.flight.supervisor import Supervisor, law_bounds
 from companion.flight.vehicle import HANDLED, Vehicle
 from companion.flightlog.reactions import in_words, reaction_times
 from companion.mavlink.link import Message, mav
-from companion.reference.trajectory import Placed, place
+from companion.reference.trajectory import Frame, Placed, Trajectory, place
 from companion.reference.transit import TransitLimits
 
 _RC_CHANNELS: int = mav.MAVLINK_MSG_ID_RC_CHANNELS
@@ -49,6 +49,8 @@ _STANDING = (
     Phase.ARM,
 )  # idle setpoints go out, which must never meet a flying vehicle
 _FLYING = (mav.MAV_LANDED_STATE_IN_AIR, mav.MAV_LANDED_STATE_TAKEOFF)
+MOST_RAISED_M = 1.0  # beyond that it is another flight than was asked for
+LOWEST_SAMPLES = 400
 REAL_TIME_TOLERANCE = 0.02  # of the time passed: a lockstep simulation runs at any other speed
 
 
@@ -83,6 +85,7 @@ class Flight:
         self._armed_by_now = False  # we count on it
         self._pilot = Pilot(settings.safety.stick_share)
         self._transmitter_lost = False
+        self._raised_m = 0.0  # of the trajectory, for the sake of the height estimate
         self._handed_over_s = 0.0
         self._watchdog = LoopWatchdog(settings.safety.stall_s, self._note_stall)
         self._real_time = False
@@ -264,7 +267,7 @@ class Flight:
 
     def _lay_out(self, ground: Reference) -> FlightPlan:
         settings, request = self._settings, self._request
-        trajectory = place(request.trajectory, request.frame, ground.position_enu, ground.yaw_rad)
+        trajectory = self._above_ground(ground)
         limits = self._transit_limits(float(ground.position_enu[2]))
         return lay_out(
             ground,
@@ -273,6 +276,37 @@ class Flight:
             settings.procedure.hold_s,
             float(ground.position_enu[2]) + settings.takeoff_height_m,
             limits,
+        )
+
+    def _above_ground(self, ground: Reference) -> Trajectory:
+        """The trajectory laid out, and raised where it comes lower than the height estimate may be wrong.
+
+        Raises:
+            Refused: it may be wrong by more than MOST_RAISED_M, or the trajectory lies in the local frame.
+        """
+        request, accuracy_m = self._request, self._vehicle.status.height_accuracy_m or 0.0
+        laid_out = place(request.trajectory, request.frame, ground.position_enu, ground.yaw_rad)
+        times = np.linspace(0.0, min(request.duration_s, laid_out.duration_s), LOWEST_SAMPLES)
+        lowest_m = min(float(laid_out.sample(float(t)).position_enu[2]) for t in times) - float(
+            ground.position_enu[2]
+        )
+        wanted_m = max(self._raised_m, accuracy_m - lowest_m)
+        if wanted_m <= 0.0:
+            return laid_out
+        why = f"the trajectory comes down to {lowest_m:.2f} m, and the height estimate may be wrong by {accuracy_m:.2f} m"
+        if request.frame is Frame.LOCAL or wanted_m > MOST_RAISED_M:
+            raise Refused(f"{why} (ESTIMATOR_STATUS): fly higher, or wait until the estimate has settled")
+        if not self._raised_m:
+            self._reporter.say(f"{why}: raised by {wanted_m:.2f} m")
+            self._recorder.log.event(
+                "warning", self._vehicle.link.autopilot_time_s, text=f"{why}: raised by {wanted_m:.2f} m"
+            )
+        self._raised_m = wanted_m
+        return place(
+            request.trajectory,
+            request.frame,
+            ground.position_enu + np.array([0.0, 0.0, wanted_m]),
+            ground.yaw_rad,
         )
 
     def _transit_limits(self, ground_m: float) -> TransitLimits:

@@ -18,6 +18,7 @@ from companion.autopilot.adapter import VehicleStatus
 from companion.config.safety import SafetyLimits
 from companion.control.packing import TERMS, Terms
 from companion.control.structs import Reference, Vector, VehicleState
+from companion.flight.ground_contact import SETTLED_S, GroundContact
 from companion.flight.one_world import PoseFigures
 from companion.flight.supervisor import Judgement, LawBounds, Sight, Supervisor
 from companion.flightlog.health import LogHealth
@@ -66,6 +67,7 @@ class Scene:
             limits, BOUNDS, np.zeros(3), self.status, cast(Link, self.link), real_time
         )
         self.supervisor.log_health = LogHealth(0, 0, 0, 0, 0, 10**12, "")
+        self.supervisor.ground_contact = GroundContact(start_s - SETTLED_S)
         self.fence = limits.fence
         self.position: Vector = np.array([0.0, 0.0, HEIGHT_M])
         self.velocity: Vector = np.zeros(3)
@@ -75,6 +77,7 @@ class Scene:
         self.tilt = self.asked_tilt = 0.0
         self.rate: Vector = np.zeros(3)
         self.thrust_newton = 20.0
+        self.thrust_hovers = 1.0
         self.attitude_age_s, self.position_age_s = PERIOD_S, 0.0
         self.jump: Vector = np.zeros(3)
         self.stuck_at_s: float | None = None
@@ -124,6 +127,7 @@ class Scene:
             refused_setpoints=self.refused,
             setpoint_gap_s=self.setpoint_gap_s,
             overrun_share=self.overrun_share,
+            thrust_hovers=self.thrust_hovers,
             poses=self.poses,
         )
         self.jump = np.zeros(3)
@@ -265,6 +269,7 @@ PROVOCATIONS: dict[str, Provocation] = {
     "fence_margin_m": _east,
     "ceiling_margin_m": lambda scene, value: _height(scene, scene.fence.height_max_m - value),
     "floor_margin_m": lambda scene, value: _height(scene, scene.fence.height_min_m + value),
+    "ground_support": lambda scene, value: setattr(scene, "thrust_hovers", 1.0 - value),
     "battery_remaining": _status("battery_remaining"),
     "battery_voltage_v": _status("battery_voltage_v"),
     "round_trip_s": _round_trip,

@@ -20,6 +20,7 @@ from companion.control.law import ControlLaw
 from companion.control.packing import LOOP_TERMS, TERMS, Terms
 from companion.control.structs import AdaptationGate, Reference, Vector, VehicleState
 from companion.flight.fence import horizontal_margin
+from companion.flight.ground_contact import GroundContact
 from companion.flight.ladder import START, Change, LadderState, hardest_by_quantity, rung_table, step
 from companion.flight.one_world import SELF_MOVED_M, PoseFigures, TwoPaths
 from companion.flight.sources import SILENT_S
@@ -38,7 +39,13 @@ FLOOR_COUNTS_FROM_M = 0.2  # above the fence's least height
 MOVING_M_S = 0.2  # a position that moves this fast has to change
 _TELL_THE_MODE = (mav.MAVLINK_MSG_ID_HEARTBEAT, mav.MAVLINK_MSG_ID_CURRENT_MODE)
 _TELL_THE_FLAGS = (mav.MAVLINK_MSG_ID_ESTIMATOR_STATUS, mav.MAVLINK_MSG_ID_EKF_STATUS_REPORT)
-LIFT_OFF_SKIPS = ("position_error_m", "velocity_error_m_s", "yaw_error_deg", "thrust_margin")
+LIFT_OFF_SKIPS = (
+    "ground_support",
+    "position_error_m",
+    "velocity_error_m_s",
+    "yaw_error_deg",
+    "thrust_margin",
+)
 
 INDEX = {name: number for number, name in enumerate(QUANTITIES)}
 _POSITION = TERMS.fields["position"][1] // 8  # type: ignore[index]
@@ -104,6 +111,7 @@ class Sight(NamedTuple):
     refused_setpoints: int  # in a row
     setpoint_gap_s: float
     overrun_share: float
+    thrust_hovers: float  # of the newest setpoint, in hover thrusts
     poses: PoseFigures | None = None  # from outside, where the estimator uses them
 
 
@@ -149,6 +157,7 @@ class Supervisor:
             None  # time, position, velocity, its integral
         )
         self._floor_counts = False
+        self.ground_contact = GroundContact()
         self._lyapunov: tuple[float, float, float] | None = None  # time, short, long
         self.log_health: LogHealth | None = None
 
@@ -310,6 +319,15 @@ class Supervisor:
         height_m = z_m - home[2]
         values[INDEX["fence_margin_m"]] = horizontal_margin(fence, x_m - home[0], y_m - home[1])
         values[INDEX["ceiling_margin_m"]] = fence.height_max_m - height_m
+        values[INDEX["ground_support"]] = self.ground_contact.support(
+            state.time_s,
+            height_m,
+            vz,
+            sight.thrust_hovers,
+            axis,
+            _angle_deg(cosine),
+            self._status,
+        )
         if not self._floor_counts and height_m > fence.height_min_m + FLOOR_COUNTS_FROM_M:
             self._floor_counts = True
         values[INDEX["floor_margin_m"]] = height_m - fence.height_min_m if self._floor_counts else None
