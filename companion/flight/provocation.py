@@ -34,7 +34,7 @@ BOUNDS = LawBounds(
     mass_kg=1.0,
     beta=1.0,
 )
-HEIGHT_M = 1.0
+HEIGHT_M = 2.5  # above what `ground_support` looks at
 FRAMES_A_STATE = 10
 
 
@@ -174,6 +174,11 @@ def _silence(message_id: int) -> Provocation:
     return provoke
 
 
+def _support(scene: Scene, value: float) -> None:
+    scene.thrust_hovers = 1.0 - value
+    _height(scene, 1.0)
+
+
 def _lose_estimator(scene: Scene, value: float) -> None:
     scene.status.estimator_flags = HEALTHY_FLAGS & ~(8 | 16) if value > 0.0 else HEALTHY_FLAGS
 
@@ -269,7 +274,7 @@ PROVOCATIONS: dict[str, Provocation] = {
     "fence_margin_m": _east,
     "ceiling_margin_m": lambda scene, value: _height(scene, scene.fence.height_max_m - value),
     "floor_margin_m": lambda scene, value: _height(scene, scene.fence.height_min_m + value),
-    "ground_support": lambda scene, value: setattr(scene, "thrust_hovers", 1.0 - value),
+    "ground_support": _support,
     "battery_remaining": _status("battery_remaining"),
     "battery_voltage_v": _status("battery_voltage_v"),
     "round_trip_s": _round_trip,
