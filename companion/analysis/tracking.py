@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.analysis.interpolation import hermite, inside, linear, strictly_rising
+from companion.analysis.resets import carried, resets
 from companion.analysis.rotation import euler_from_quaternions, wrap_angle
 from companion.config.errors import UserError
 from companion.flightlog.law_channels import INPUT_TOPIC
@@ -107,7 +108,7 @@ def tracking_errors(
         )
     series = {}
     for source, topic in (("truth", "/truth"), ("estimate", "/state")):
-        channel = record.channel(topic)
+        channel = carried(record, topic)
         if channel is None:
             notes.append(f"no {source} in this log")
             continue
@@ -155,6 +156,9 @@ def _errors(
     known = reference.time_s[rows]
     times = channel.time_s
     chosen = (times >= start + window[0] - 1e-9) & (times <= start + window[1] + 1e-9) & inside(known, times)
+    for reset_s in resets(record)[0]:  # a reference from either side of a jump is that of neither
+        before_s = known[max(0, int(np.searchsorted(known, reset_s - 1e-9)) - 1)]
+        chosen &= ~((times > before_s + 1e-9) & (times < reset_s - 1e-9))
     if not chosen.any():
         return None
     at = times[chosen]

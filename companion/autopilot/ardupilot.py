@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from companion.autopilot.adapter import Adapter, Finding, Intent, Verdict, held_setpoint
+from companion.autopilot.adapter import Adapter, Finding, Intent, Verdict, Version, held_setpoint
 from companion.control.structs import ControlLevel
 from companion.mavlink.link import mav
 from companion.mavlink.protocol import Command
@@ -41,6 +41,7 @@ class ArduPilot(Adapter):
     profile_key = "ardupilot"
     truth_message_id = mav.MAVLINK_MSG_ID_SIM_STATE
     estimator_message_id = mav.MAVLINK_MSG_ID_EKF_STATUS_REPORT
+    ahrs_tells_estimator = True  # AP_AHRS::healthy
     prearm_bit_counts = True
     spool_time_s = 2.5  # 2 s arming delay and 0.5 s spool-up
     takes_local_ned_odometry = False
@@ -94,7 +95,7 @@ class ArduPilot(Adapter):
         return EXTERNAL_NAVIGATION in sources if sources else None
 
     def check(
-        self, parameters: Mapping[str, float], level: ControlLevel, version: tuple[int, int, int]
+        self, parameters: Mapping[str, float], level: ControlLevel, version: Version | None
     ) -> list[Finding]:
         """See `Adapter.check`."""
         findings = []
@@ -170,7 +171,7 @@ class ArduPilotNoGps(ArduPilot):
     modes = _MODES_NO_GPS
 
     def check(
-        self, parameters: Mapping[str, float], level: ControlLevel, version: tuple[int, int, int]
+        self, parameters: Mapping[str, float], level: ControlLevel, version: Version | None
     ) -> list[Finding]:
         """See `Adapter.check`."""
         mode = Finding(

@@ -122,6 +122,8 @@ class ControlLoop:
         self.lift_off_thrust = 0.0  # normalised, as last sent while lifting off
         self.position_error_enu: Vector = np.zeros(3)
         self.counters: Counter[str] = self._sender.counters
+        self.reactions: list[tuple[float, Reaction]] = []
+        """When the supervisor came to which reaction."""
         self.held = ""  # why the plan was left for a hold; empty while it is followed
 
     @property
@@ -138,6 +140,11 @@ class ControlLoop:
     def law(self) -> ControlLaw:
         """The law that flies."""
         return self._law
+
+    @property
+    def controlled_until_s(self) -> float:
+        """Time of the newest state that was answered, autopilot's clock."""
+        return self._last_step_s
 
     @property
     def plan_time_s(self) -> float:
@@ -261,6 +268,10 @@ class ControlLoop:
         judgement = self._judge(state, reference, gap_s, age_s)
         if judgement.yaw_jump_rad:
             self._shift_yaw_rad += judgement.yaw_jump_rad
+        if jump is not None or judgement.yaw_jump_rad:
+            moved = _NO_JUMP if jump is None else jump
+            turned = judgement.yaw_jump_rad
+            self._recorder.log.event("estimator_reset", state.time_s, jump_enu=moved, yaw_jump_rad=turned)
         self._react(judgement, state.time_s)
         self._estimate_hover(state, trusted=judgement.gate is AdaptationGate.RUN)
         if judgement.yaw_jump_rad or self._plan is not plan:
@@ -367,6 +378,8 @@ class ControlLoop:
             refused_setpoints=self._sender.refused,
             setpoint_gap_s=state.time_s - self._sender.last_sent_s,
             overrun_share=self._overrun_share,
+            thrust_hovers=self._sender.asked_thrust_newton
+            / self._sender.thrust.newton(self._sender.thrust.hover_thrust),
             poses=self._vehicle.pose_figures(state.time_s),
         )
         return watching.supervisor.judge(state, sight, lifting_off)
@@ -394,6 +407,7 @@ class ControlLoop:
         if reaction is self._reaction:
             return
         before, self._reaction = self._reaction, reaction
+        self.reactions.append((time_s, reaction))
         self._recorder.log.event(
             "safety", time_s, reaction=reaction.setting, before=before.setting, reason=judgement.reason
         )

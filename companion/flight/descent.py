@@ -137,7 +137,10 @@ class Descent:
                 "no more setpoints; logging until the vehicle is disarmed (Ctrl-C ends it)"
             )
             try:
-                self._vehicle.until(self._vehicle.disarmed_for(_STAYS_DISARMED_S))
+                disarmed = self._vehicle.disarmed_for(_STAYS_DISARMED_S)
+                self._vehicle.until(lambda: disarmed() or bool(self._stage.nobody_has_it()))
+                if nobody := self._stage.nobody_has_it():
+                    return FlightResult(end.outcome, f"{end}; {nobody}; {self._land_whatever(nobody)}")
             except (Interrupted, HandedBack, LinkLost):
                 return FlightResult(end.outcome, f"{end}; not watched to the end")
             return FlightResult(end.outcome, f"{end}; disarmed later")

@@ -171,8 +171,7 @@ def check(
         vehicle.outside_poses = poses
         vehicle.on_notice = reporter.say
         vehicle.connect(settings.flight.procedure.connect_timeout_s)
-        version = ".".join(map(str, vehicle.version))
-        reporter.say(f"{vehicle.adapter.name} {version}, system {link.target_system}")
+        reporter.say(f"{vehicle.firmware}, system {link.target_system}")
         preflight = _preflight(settings, vehicle, reporter, plan)
         preflight.ask_for_streams()
         findings = preflight.parameter_findings()
@@ -193,7 +192,12 @@ def _preflight(settings: Settings, vehicle: Vehicle, reporter: Reporter, plan: L
     flight = settings.flight
     share = plan.spare_share if plan is not None else 1.0
     return Preflight(
-        vehicle, settings.level, flight.rate_hz, flight.procedure, settings.profile, reporter, share
+        vehicle,
+        settings.level,
+        flight,
+        settings.profile,
+        reporter,
+        share,
     )
 
 
@@ -234,13 +238,12 @@ def _control_loop(
         mixer=mixer_of(np.column_stack((arms, np.zeros(len(arms)))), profile.rotors.spins),
     )
     recorder.define_law(law.hidden)
-    firmware = f"{adapter.name} {'.'.join(map(str, vehicle.version))}"
     recorder.log.metadata(
         "flight",
         {
             "controller": law.name,
             "level": law.level.value,
-            "firmware": firmware,
+            "firmware": vehicle.firmware,
             "profile": profile.name,
             "mass_ratio": profile.mass_ratio,
             "seed": law.seed,

@@ -10,7 +10,14 @@ import math
 import time
 from collections.abc import Callable
 
-from companion.autopilot.adapter import STATUS_MESSAGES, TRUTH_MESSAGES, Adapter, VehicleStatus
+from companion.autopilot.adapter import (
+    STATUS_MESSAGES,
+    TRUTH_MESSAGES,
+    Adapter,
+    VehicleStatus,
+    Version,
+    version_text,
+)
 from companion.autopilot.registry import adapter_for
 from companion.config.errors import UserError
 from companion.control.structs import VehicleState
@@ -61,7 +68,7 @@ class Vehicle:
         self._others_told = 0
         self.taken_off = False
         """Before, a second autopilot on the link is a reason not to fly; from then on it is only told."""
-        self.version = (0, 0, 0)
+        self.version: Version | None = None  # None: not told, or built without one
         self.simulated = False  # only a simulation publishes its true state
         self.silence_limit_s = silence_limit_s
         self.on_state: Callable[[VehicleState], None] = lambda _: None
@@ -165,13 +172,14 @@ class Vehicle:
             self.link.keep_alive()
             self.link.answer_timesync(message)
             return
+        self.status.heard_s[kind] = self.link.autopilot_time_s
         if kind in TRUTH_MESSAGES:
             self.simulated = True
         elif kind == _STATUSTEXT:
             self._hear_texts(self._texts.take(message, time.monotonic()))
             return
         elif kind in STATUS_MESSAGES:
-            self.status.take(message)
+            self.status.take(message, self.link.autopilot_time_s)
             if kind == _HEARTBEAT:
                 self._hear_texts(self._texts.overdue(time.monotonic()))
         elif kind == _COMMAND_ACK:
@@ -236,6 +244,7 @@ class Vehicle:
         listened = self._listened()
         self.adapter = adapter_for(heartbeat.autopilot, heartbeat.type)
         self.parameters.bytewise = self.adapter.bytewise_parameters
+        self.status.ahrs_tells_estimator = self.adapter.ahrs_tells_estimator
         if self.outside_poses is not None:
             self.outside_poses.local_ned = self.adapter.takes_local_ned_odometry
         answered: list[Message] = []
@@ -255,7 +264,8 @@ class Vehicle:
         self.on_message = before
         if answered:
             number = answered[0].flight_sw_version
-            self.version = (number >> 24 & 0xFF, number >> 16 & 0xFF, number >> 8 & 0xFF)
+            version = (number >> 24 & 0xFF, number >> 16 & 0xFF, number >> 8 & 0xFF)
+            self.version = version if any(version) else None  # 0.0.0 is a build without tags
         elif self.link.counters["signed, and we have no key"]:
             raise UserError(
                 "the autopilot signs its messages and answers nothing that is not signed: give --signing-key FILE"
@@ -279,6 +289,11 @@ class Vehicle:
             return untimed or passed_s >= LISTEN_S
 
         return enough
+
+    @property
+    def firmware(self) -> str:
+        """Name and version, for people."""
+        return f"{self.adapter.name} {version_text(self.version)}"
 
     def _why_nobody(self, timeout_s: float) -> str:
         counters = self.link.counters

@@ -36,6 +36,7 @@ class TimeSync:
     """Offset and drift between the autopilot's clock and ours, filtered by round trip."""
 
     def __init__(self) -> None:
+        self.answered_s = -math.inf  # the autopilot's clock in its newest answer
         self._samples: deque[_Sample] = deque(maxlen=WINDOW)
         self._drift = 0.0
 
@@ -49,6 +50,7 @@ class TimeSync:
         round_trip_ns = received_ns - sent_ns
         if round_trip_ns < 0 or round_trip_ns > 1_000_000_000 or autopilot_ns <= 0:
             return
+        self.answered_s = autopilot_ns * 1e-9
         middle_ns = sent_ns + round_trip_ns // 2
         self._samples.append(
             _Sample(

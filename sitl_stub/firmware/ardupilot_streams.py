@@ -17,6 +17,7 @@ from sitl_stub.firmware.ardupilot_modes import Mode
 from sitl_stub.firmware.ardupilot_motion import ArduPilotMotion
 from sitl_stub.firmware.autopilot import SIMULATED_EPOCH_US
 from sitl_stub.firmware.globe import LocalOrigin
+from sitl_stub.firmware.radio import RECEIVER_BIT
 from sitl_stub.firmware.streams import Builder
 from sitl_stub.mavlink.codec import LAYOUTS
 from sitl_stub.mavlink.links import Link
@@ -199,6 +200,8 @@ class ArduPilotMessages:
             enabled |= LOGGING_BIT
         if a.prearm_good:
             health |= PREARM_BIT
+        if not a.radio.healthy:
+            health &= ~RECEIVER_BIT
         state = a.core.state
         volts = round(float(state[body.BATTERY_VOLTAGE]) * 1000)
         current = _int16(100.0 * self._current())

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from sitl_stub.firmware.commands import CommandHandler, CommandProtocol, MessageHandler, Result
 from sitl_stub.firmware.parameter_protocol import ParameterProtocol
 from sitl_stub.firmware.parameters import ParameterTable
+from sitl_stub.firmware.radio import Radio
 from sitl_stub.firmware.streams import Builder, LinkStreams, StreamTable
 from sitl_stub.firmware.vehicle_core import VehicleCore
 from sitl_stub.mavlink.codec import Received
@@ -55,6 +56,7 @@ class Autopilot:
         self.booted_us = 0
         """When the firmware last started: later than now while it is restarting."""
         self.killed = False
+        self.radio = Radio()
         """The pilot's kill switch: rotors stopped though armed."""
         self._clock_errors_us: dict[object, int] = {}
         self._clock_offset_us = 0

@@ -17,6 +17,7 @@ from sitl_stub.firmware.globe import LocalOrigin
 from sitl_stub.firmware.px4_modes import ARMED_FLAG, CUSTOM_MODE_ENABLED, Mode
 from sitl_stub.firmware.px4_motion import NAN, Px4Motion, Values, int16
 from sitl_stub.firmware.px4_reports import Px4Reports
+from sitl_stub.firmware.radio import RECEIVER_BIT
 from sitl_stub.firmware.streams import Builder
 from sitl_stub.mavlink.links import Link
 from sitl_stub.physics import vehicle as body
@@ -140,6 +141,8 @@ class Px4Messages:
             health |= PREARM_BIT
         if not a.core.position_aided:
             health &= ~GPS_BIT
+        if a.navigator.sticks.radio and a.radio.healthy:
+            health |= RECEIVER_BIT
         state = a.core.state
         volts = float(state[body.BATTERY_VOLTAGE])
         values = (

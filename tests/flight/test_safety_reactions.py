@@ -12,6 +12,8 @@ import pytest
 from stub_flights import Flown, fly_short, interrupt, lockstep_stub
 from stub_flights import Pilot as GroundPilot
 
+from companion.analysis.comparison import compare_logs
+from companion.analysis.metrics import flight_metrics
 from companion.control.law import ControlLaw
 from companion.control.structs import Setpoint, StepResult
 from companion.flight.flight import Flight
@@ -102,6 +104,19 @@ def test_the_fall_back_switches_the_networks_off_without_a_bump(stub, tmp_path):
     flown = fly_short(stub, tmp_path, settings=settings)
     assert flown.result.outcome is Outcome.COMPLETED  # it flies on
     began = entered(flown, "non_adaptive")
+    changes = [
+        (e.time_s, e.fields["reaction"]) for e in flown.record.events_of("safety") if "before" in e.fields
+    ]
+    until = [*(time_s for time_s, _ in changes[1:]), flown.record.channel("/reference").time_s[-1]]
+    off_s = sum(end - at for (at, name), end in zip(changes, until, strict=True) if name == "non_adaptive")
+    said = f"networks off for {off_s:.{0 if off_s >= 9.95 else 1}f} s"
+    assert said in flown.result.text and flown.result.text.startswith("flown as planned")
+    assert flown.record.events_of("ended")[-1].fields["text"] == flown.result.text
+    metrics, _ = flight_metrics(flown.record)
+    assert any(said in note for note in metrics.notes)
+    assert metrics.to_json()["worst_reaction"] == "non_adaptive"
+    assert metrics.to_json()["reactions_s"]["non_adaptive"] == pytest.approx(off_s, abs=1e-6)
+    assert any(said in note for note in compare_logs([flown.log]).notes)
     terms, steps = flown.record.channel("/terms"), flown.record.channel("/law_input")
     first = int(np.searchsorted(terms.time_s, began - 1e-9))
     before = np.linalg.norm(terms["position_network_term"][first - 1])
@@ -267,6 +282,32 @@ def test_an_estimator_reset_moves_the_plan_and_does_not_kick_the_vehicle(stub, t
     assert tilts[after].max() < max(
         12.0, 2.0 * tilts[before].max()
     )  # 1 m of error would ask for the full 35°
+
+
+def test_a_reset_of_the_estimate_is_no_error_against_the_truth(tmp_path):
+    """A reset of 1.08 m made 0.74 m of RMS out of a flight that was 1 to 3 cm off."""
+    scenario = tmp_path / "reset.toml"
+    fault = '[[fault]]\nkind = "estimator_reset"\nafter = "airborne"\n'
+    first = "at_s = 14.0\nnorth_m = 1.08\neast_m = -0.2\n"
+    second = "at_s = 16.0\nnorth_m = 0.0\ndown_m = -0.3\nyaw_deg = 12.0\n"
+    scenario.write_text(fault + first + fault + second)
+    with lockstep_stub("--scenario", str(scenario)) as stub:
+        flown = fly_short(stub, tmp_path, settings=["flight.duration_s=8"])
+    assert flown.result.outcome is Outcome.COMPLETED
+    jumps = [event.fields for event in flown.record.events_of("estimator_reset")]
+    assert [sum(axis) for axis in zip(*(jump["jump_enu"] for jump in jumps), strict=True)] == pytest.approx(
+        [-0.2, 1.08, 0.3], abs=0.05
+    )
+    assert math.degrees(sum(jump["yaw_jump_rad"] for jump in jumps)) == pytest.approx(-12.0, abs=1.0)
+    metrics, tracking = flight_metrics(flown.record)
+    since = flown.record.events_of("estimator_reset")[0].time_s - tracking.start_s
+    assert 0.0 < since < 7.0  # while it tracked
+    truth, estimate = metrics.get("rms", "position_truth_m"), metrics.get("rms", "position_estimate_m")
+    assert truth == pytest.approx(estimate, abs=0.05)
+    assert max(truth) < 0.2
+    assert metrics.get("rms", "yaw_truth_deg") == pytest.approx(
+        metrics.get("rms", "yaw_estimate_deg"), abs=1.0
+    )
 
 
 # The pilot, and what cannot be sent ----------------------------------------------------------------------
