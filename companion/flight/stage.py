@@ -65,6 +65,7 @@ class Stage:
     loop: ControlLoop | None = None  # none before the autopilot is known
     plan: FlightPlan | None = None  # none before the vehicle stands ready
     engaged: bool = False  # our mode was confirmed and we count on it
+    ending: bool = False  # what counts from here on is who has the vehicle next
     airborne: bool = False
     ground_m: float = 0.0  # height of the place of take-off in the local frame
 

@@ -114,11 +114,23 @@ def test_the_fall_back_switches_the_networks_off_without_a_bump(stub, tmp_path):
     assert weights.max() == 0.0
 
 
-def test_hand_back_stops_the_setpoints_and_asks_for_a_hold(stub, tmp_path):
+def tilts_and_thrusts(sent: list) -> tuple[np.ndarray, np.ndarray]:
+    """Of decoded SET_ATTITUDE_TARGETs: ° and 0..1."""
+    tilts = np.degrees([math.acos(1.0 - 2.0 * (m.q[1] ** 2 + m.q[2] ** 2)) for m in sent])
+    return tilts, np.array([m.thrust for m in sent])
+
+
+def test_hand_back_asks_for_a_hold_and_keeps_level_until_it_has_it(stub, tmp_path):
     flown = fly_short(stub, tmp_path, settings=only("hand_back", "flight.safety.silence_s=2.0"))
     assert flown.result.outcome is Outcome.HANDED_BACK
     assert "position_error_m" in flown.result.text
-    assert flown.setpoints_after("safety", reaction="hand_back") == 0
+    assert flown.modes[-1] == "AUTO.LOITER"
+    assert flown.setpoints_after("mode", mode="AUTO.LOITER") <= 1
+    times, sent = setpoints(flown)
+    after = times > entered(flown, "hand_back") + 1e-6
+    tilts, thrusts = tilts_and_thrusts(sent)
+    assert tilts[after].max(initial=0.0) < 0.1
+    assert thrusts[after].max(initial=0.0) < 1.03 * np.median(thrusts[~after][-100:])  # what it hovered with
 
 
 def test_disarm_stops_the_motors_where_it_is_configured(stub, tmp_path):
@@ -135,9 +147,9 @@ def test_land_is_asked_for_within_a_state_and_taken_within_a_tenth_of_a_second(s
     began = entered(flown, "land")
     taken = next(e.time_s for e in flown.record.events_of("mode") if e.fields["mode"] == "AUTO.LAND")
     assert taken - began < 0.1
-    assert flown.setpoints_after("safety", reaction="land") == 0
-    times, _ = setpoints(flown)
-    assert began - times[-1] < 0.021  # the last one belongs to the state before
+    assert flown.setpoints_after("mode", mode="AUTO.LAND") <= 1
+    times, sent = setpoints(flown)
+    assert tilts_and_thrusts(sent)[0][times > began + 1e-6].max(initial=0.0) < 0.1
 
 
 def test_landing_without_an_answer_to_the_command_stops_the_setpoints_too(tmp_path):
@@ -337,8 +349,12 @@ def test_a_loop_that_hangs_sends_nothing_and_lands_when_it_wakes(stub, tmp_path,
     stalled = next(e for e in safety_events(flown) if e["reaction"] == "loop stalled")
     assert 1.0 < stalled["value"] < 2.0  # told while it hung, by the thread that watches
     tracking = flown.record.events_of("tracking")[0].time_s
-    times, _ = setpoints(flown)
-    assert (times > tracking + 0.011).sum() == 0  # neither while it hung nor what was begun before
+    times, sent = setpoints(flown)
+    late = (
+        times > tracking + 0.011
+    )  # nothing while it hung, nor what was begun before; then level until LAND shows
+    assert late.sum() < 30
+    assert tilts_and_thrusts(sent)[0][late].max(initial=0.0) < 0.1
     assert "AUTO.LAND" in flown.modes
     assert flown.armed == [True, False]
 
