@@ -124,9 +124,10 @@ def test_hand_back_asks_for_a_hold_and_keeps_level_until_it_has_it(stub, tmp_pat
     flown = fly_short(stub, tmp_path, settings=only("hand_back", "flight.safety.silence_s=2.0"))
     assert flown.result.outcome is Outcome.HANDED_BACK
     assert "position_error_m" in flown.result.text
-    assert flown.modes[-1] == "AUTO.LOITER"
-    assert flown.setpoints_after("mode", mode="AUTO.LOITER") <= 1
+    taken = flown.record.events_of("mode")[-1]
+    assert taken.fields["mode"] == "AUTO.LOITER"
     times, sent = setpoints(flown)
+    assert (times > taken.time_s + 1e-6).sum() <= 1
     after = times > entered(flown, "hand_back") + 1e-6
     tilts, thrusts = tilts_and_thrusts(sent)
     assert tilts[after].max(initial=0.0) < 0.1
