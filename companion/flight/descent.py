@@ -40,6 +40,7 @@ HOLD_FOR_S = 1.5  # a hold that does not come is not to be had (no position): LA
 LISTENS_ON_S = 5.0  # for an autopilot that has fallen silent, our clock
 TIPPED_DISARM_S = 3.0  # a land detector takes so long to believe in idle motors; LAND would turn them again
 _DISARM_TIMEOUT_S = 1.5  # until HEARTBEAT shows what a COMMAND_ACK has said
+_DISARMS = 3
 _STAYS_DISARMED_S = 1.0  # longer than a frame is held up on its way
 _FALL_S = 0.5  # how long a vehicle that was disarmed while landing is looked at
 _FALLING_M_S = 2.0  # faster than an autopilot lets down; reached after 0.2 s without motors
@@ -245,26 +246,31 @@ class Descent:
         vehicle, loop = self._vehicle, self._stage.loop
         assert loop is not None
         tipped = isinstance(end, TippedOver)
-        stays = vehicle.disarmed_for(_STAYS_DISARMED_S)
-        result: int | None = None
+        refused = False
 
         def settled() -> bool:
-            nonlocal result
-            result = vehicle.commands.result if vehicle.commands.result is not None else result
-            return not vehicle.status.armed or (result in _REFUSALS and not tipped)
+            nonlocal refused
+            refused = refused or (vehicle.commands.result in _REFUSALS and not tipped)
+            return not vehicle.status.armed or refused
 
-        # armed or not: our ARM may be under way still
-        self._ask(DISARM, settled, TIPPED_DISARM_S, lambda: self._note(end))
-        if not vehicle.status.armed:
-            with suppress(WaitedTooLong):
-                self._until(lambda: stays() or vehicle.status.armed, _STAYS_DISARMED_S + _DISARM_TIMEOUT_S)
-        if not vehicle.status.armed:
-            self._ask(vehicle.adapter.mode(Intent.HOLD), lambda: not vehicle.is_ours, HOLD_FOR_S)
+        for _ in range(_DISARMS):  # our ARM may be under way still, and come after the first
+            loop.stand_down()
+            self._ask(DISARM, settled, TIPPED_DISARM_S, lambda: self._note(end))
+            if vehicle.status.armed:
+                break
             self._stage.stop_setpoints()
-            return FlightResult(end.outcome, str(end))
+            if self._stays_disarmed():
+                self._ask(vehicle.adapter.mode(Intent.HOLD), lambda: not vehicle.is_ours, HOLD_FOR_S)
+                return FlightResult(end.outcome, str(end))
         if not tipped:
             loop.level()
         return FlightResult(end.outcome, f"{end}; {self.land(end)}")
+
+    def _stays_disarmed(self) -> bool:
+        vehicle, stays = self._vehicle, self._vehicle.disarmed_for(_STAYS_DISARMED_S)
+        with suppress(WaitedTooLong):
+            self._until(lambda: stays() or vehicle.status.armed, _STAYS_DISARMED_S + _DISARM_TIMEOUT_S)
+        return not vehicle.status.armed
 
     def _stop_motors(self, end: FlightEnd) -> FlightResult:
         """Disarm in the air, which takes the autopilots' magic number; hand back where that is refused."""

@@ -15,6 +15,8 @@ from campaign.wire import is_ours
 from handover.cells import ENDS, Cell
 
 RISE_M, RISE_KILLED_M = 0.5, 1.0
+PLAN_TOP_M = 0.9
+"""Of the trajectory flown, with its take-off height of 0.8 m."""
 TILT_DEG = 35.0
 TILT_SLACK_DEG = 1.0
 SINK_M_S = 1.5
@@ -61,7 +63,7 @@ def judge(cell: Cell, flown: Flown) -> Verdict:
     last = int(np.searchsorted(time_s, time_s[taken] + OURS_STILL_S))
     span = slice(first, max(first + 1, last))
     goes_on = outcome == "completed"
-    limit = max(float(height[first]), float(np.max(height[: first + 1])), 0.9 if goes_on else 0.0)
+    limit = max(float(height[first]), PLAN_TOP_M if goes_on else 0.0)
     rise = float(np.max(height[span])) - limit
     tilts = _tilt_deg(box[span])
     sink = _sink_at_ground(box, height, first)
