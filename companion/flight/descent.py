@@ -125,20 +125,24 @@ class Descent:
     ) -> bool:
         """Send `command` every ASK_EVERY_S until `done()` holds; False when it does not after `for_s`.
 
-        It is sent once in any case, and `said` is called after that. Wishes and mistakes of ours do not end it.
+        It is sent once in any case, and `said` is called after that. Wishes and mistakes of ours do not end it, nor does
+        silence, before LISTENS_ON_S more: the autopilot may hear us all the while.
         """
-        self._asking = True
+        vehicle, silence_s = self._vehicle, self._settings.safety.silence_s
+        self._asking, vehicle.silence_limit_s = True, math.inf
         try:
             for number in range(max(1, round(for_s / ASK_EVERY_S))):
-                self._vehicle.commands.send(command, again=number > 0)
+                vehicle.commands.send(command, again=number > 0)
                 if number == 0:
                     said()
                 with suppress(WaitedTooLong):
                     self._until(done, ASK_EVERY_S)
                     return True
+                if vehicle.link.silence_s > silence_s + LISTENS_ON_S:
+                    break
             return False
         finally:
-            self._asking = False
+            self._asking, vehicle.silence_limit_s = False, silence_s
 
     def _until(self, condition: Callable[[], bool], timeout_s: float = math.inf) -> None:
         """Wait as `Vehicle.until` does. Being interrupted once changes nothing; twice counts when our mode is left."""
@@ -189,10 +193,7 @@ class Descent:
         if not self._leave(Intent.LAND, KEEPS_LEVEL_S, said):
             stage.stop_setpoints()
             if not self._leave(Intent.LAND, ASKS_FOR_S - KEEPS_LEVEL_S):
-                raise NobodyHasIt(
-                    f"the autopilot did not take LAND ({vehicle.result_word(vehicle.commands.result)}); our setpoints "
-                    "have stopped, so its own offboard-loss action is what is left" + vehicle.last_texts()
-                )
+                raise self._nobody("LAND")
         if self._again is not None:
             raise self._again
         timeout_s = self._settings.procedure.land_timeout_s
@@ -293,8 +294,17 @@ class Descent:
         if self._leave(Intent.HOLD, HOLD_FOR_S, said) or self._leave(Intent.LAND, KEEPS_LEVEL_S):
             return
         self._stage.stop_setpoints()
-        word = self._vehicle.result_word(self._vehicle.commands.result)
-        raise NobodyHasIt(f"the autopilot took neither a hold nor LAND ({word}); our setpoints have stopped")
+        raise self._nobody("a hold or LAND")
+
+    def _nobody(self, asked_for: str) -> FlightEnd:
+        """What is to be said when the autopilot is in our mode still."""
+        vehicle = self._vehicle
+        if vehicle.link.silence_s > self._settings.safety.silence_s:
+            return LinkLost(f"nothing heard from the autopilot for {vehicle.link.silence_s:.1f} s")
+        return NobodyHasIt(
+            f"the autopilot did not take {asked_for} ({vehicle.result_word(vehicle.commands.result)}); our setpoints "
+            "have stopped, so its own offboard-loss action is what is left" + vehicle.last_texts()
+        )
 
     def _leave_to_pilot(self, end: FlightEnd) -> FlightResult:
         """No more setpoints, as soon as the mode is not ours: where sticks do not change it by themselves, we do."""
@@ -316,12 +326,11 @@ class Descent:
     def _heard_again(self, end: FlightEnd) -> bool:
         """Whether a silent autopilot speaks again. It may hear us all the while: what an end would ask for is asked for."""
         vehicle, stage = self._vehicle, self._stage
-        self._note(end)
-        vehicle.silence_limit_s = math.inf
         before = vehicle.link.last_message_ns
         command = DISARM if self._stands(end) else vehicle.adapter.mode(Intent.LAND)
-        heard = self._ask(command, lambda: vehicle.link.last_message_ns != before, LISTENS_ON_S)
-        vehicle.silence_limit_s = self._settings.safety.silence_s
+        heard = self._ask(
+            command, lambda: vehicle.link.last_message_ns != before, LISTENS_ON_S, lambda: self._note(end)
+        )
         if not heard:
             stage.stop_setpoints()
         return heard

@@ -76,6 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     stubs = sorted({cell.planned.stub_firmware for cell in cells})
     warm_up(stubs)
+
     verdicts: list[Verdict] = []
     interrupted = False
     try:

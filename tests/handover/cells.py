@@ -31,7 +31,6 @@ LIFT_OFF_HOVERS = {"middle": 0.7, "leaving": 1.05}
 """Lift-off goes by thrust: moments, and the thrust at which they are, in hover thrusts."""
 FLOWN_BY_LAW = ("climb", "go to start", "hold", "run-in", "track", "run-out", "return")
 SUPERVISED = ("lift-off", *FLOWN_BY_LAW)
-GROUND = ("prove setpoints", "engage", "arm")
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,9 +68,9 @@ ENDS: dict[str, End] = {
     "link lost": End(("link lost",)),
     "link lost and back": End(("link lost",)),
     "killed and started again": End(("killed",), needs_stub=True),
-    "pilot by mode": End(_PILOT, needs_stub=True, falls=True),
-    "pilot by sticks": End(_PILOT, needs_stub=True, falls=True),
-    "pilot disarms": End(_PILOT, needs_stub=True, falls=True),
+    "pilot by mode": End(_PILOT, ("arm", *SUPERVISED, "land"), needs_stub=True, falls=True),
+    "pilot by sticks": End(_PILOT, ("arm", *SUPERVISED, "land"), needs_stub=True, falls=True),
+    "pilot disarms": End(_PILOT, (*SUPERVISED, "land"), needs_stub=True, falls=True),
     "pilot kills": End(("pilot took over", "refused", "aborted", "handed back"), needs_stub=True, falls=True),
     "autopilot restarts": End(
         ("pilot took over", "refused", "aborted", "link lost"), needs_stub=True, falls=True

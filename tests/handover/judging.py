@@ -112,7 +112,8 @@ def _words(cell: Cell, flown: Flown, outcome: str, text: str) -> tuple[str, ...]
     if cell.end == "dead terminal":
         return () if flown.code == 0 else (f"exit code {flown.code} where nobody could read",)
     wanted = ENDS[cell.end].outcomes
-    if cell.phase == "land":  # what came too late to change anything
+    if cell.phase == "land" or (cell.phase == "prove setpoints" and cell.end == "autopilot restarts"):
+        # what came too late, or too early, to change anything
         wanted = (*wanted, "completed")
     if outcome not in wanted:
         return (f"last word {outcome or 'missing'}: {text}",)

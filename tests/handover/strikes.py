@@ -46,8 +46,9 @@ class Strike:
         """Patch the classes through which a flight passes anyway; nothing happens before the moment has come."""
         from companion.flight.stage import Stage
         from companion.mavlink.link import Link
+        from companion.mavlink.received import read
 
-        enter, receive, send = Stage.enter, Link.receive, Link.send
+        enter, receive, send, believe = Stage.enter, Link.receive, Link.send, Link._believe
 
         def watched_enter(stage: Any, phase: Any) -> None:
             enter(stage, phase)
@@ -57,17 +58,20 @@ class Strike:
                 self._look()
 
         def watched_receive(link: Any, timeout_s: float) -> Any:
-            heard_ns = link.last_message_ns
             message = receive(link, timeout_s)
             self._now_s = link.autopilot_time_s
             self._look()
             if message is None:
                 return None
-            number = message.get_msgId()
-            if time.monotonic() < self._lost_until_s and number != _TIMESYNC:
-                link.last_message_ns = heard_ns
-                return None
-            return None if self._drop_acks and number == _COMMAND_ACK else message
+            return None if self._drop_acks and message.get_msgId() == _COMMAND_ACK else message
+
+        def watched_believe(link: Any, frame: bytes) -> Any:
+            if time.monotonic() >= self._lost_until_s:
+                return believe(link, frame)
+            message = read(frame)
+            if message is not None and message.msg_id == _TIMESYNC and not message.tc1:
+                link.answer_timesync(message)  # a simulation in lockstep would wait for it
+            return None
 
         def watched_send(link: Any, message: Any) -> bool:
             number = message.get_msgId()
@@ -83,6 +87,7 @@ class Strike:
             return send(link, message)
 
         Stage.enter = watched_enter  # type: ignore[method-assign]
+        Link._believe = watched_believe  # type: ignore[method-assign]
         Link.receive = watched_receive  # type: ignore[method-assign]
         Link.send = watched_send  # type: ignore[method-assign]
 
