@@ -377,6 +377,20 @@ def test_a_vehicle_that_flies_already_is_never_given_idle_setpoints(tmp_path):
     assert flown.armed == [True]
 
 
+@pytest.mark.parametrize("begins_s", [0.0, 3.0], ids=["from the start", "just before arming"])
+def test_a_vehicle_that_does_not_say_whether_it_stands_is_refused(tmp_path, begins_s):
+    scenario = tmp_path / "silent.toml"
+    scenario.write_text(
+        f'[[fault]]\nkind = "stream_stop"\nat_s = {begins_s}\nmessages = ["EXTENDED_SYS_STATE"]\n'
+    )
+    settings = ["flight.procedure.prove_s=6"]
+    with lockstep_stub("--scenario", str(scenario)) as stub:
+        flown = fly_short(stub, tmp_path, settings=settings)
+    assert flown.result.outcome is Outcome.REFUSED
+    assert "does not say whether the vehicle is on the ground (EXTENDED_SYS_STATE)" in flown.result.text
+    assert flown.armed == []
+
+
 def test_the_switch_to_offboard_can_be_the_pilots(tmp_path):
     pilot = GroundPilot()
     with lockstep_stub(*pilot.options) as stub:
