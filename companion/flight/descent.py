@@ -44,9 +44,7 @@ _DISARMS = 3
 _STAYS_DISARMED_S = 1.0  # longer than a frame is held up on its way
 _FALL_S = 0.5  # how long a vehicle that was disarmed while landing is looked at
 _FALLING_M_S = 2.0  # faster than an autopilot lets down; reached after 0.2 s without motors
-_MISTAKES_BORNE = (
-    1000  # one with every message while the autopilot is asked; our own mistakes must not end that
-)
+_MISTAKES_BORNE = 1000  # of ours, one with every message while the autopilot is asked
 _REFUSALS = (mav.MAV_RESULT_TEMPORARILY_REJECTED, mav.MAV_RESULT_DENIED, mav.MAV_RESULT_FAILED)
 
 
@@ -81,15 +79,17 @@ class Descent:
     def _bring_down(self, end: FlightEnd) -> FlightResult:
         stage = self._stage
         engaged, stage.engaged, stage.ending = stage.engaged, False, True
-        if not engaged or stage.loop is None or (isinstance(end, PilotTookOver) and self._not_ours()):
+        if not engaged or stage.loop is None:
             stage.stop_setpoints()
-        elif stands := self._stands(end):
+            self._note(end)
+            return FlightResult(end.outcome, str(end))
+        stands = self._stands(end)
+        if isinstance(end, PilotTookOver) and self._not_ours():
+            stage.stop_setpoints()
+        elif stands:
             stage.loop.stand_down()
         else:
             stage.loop.level()
-        if not engaged:
-            self._note(end)
-            return FlightResult(end.outcome, str(end))
         if isinstance(end, PilotTookOver):
             return self._leave_to_pilot(end)
         if isinstance(end, LinkLost) and not self._heard_again(end):
@@ -134,7 +134,7 @@ class Descent:
             for number in range(max(1, round(for_s / ASK_EVERY_S))):
                 vehicle.commands.send(command, again=number > 0)
                 if number == 0:
-                    said()
+                    self._bear(said)
                 with suppress(WaitedTooLong):
                     self._until(done, ASK_EVERY_S)
                     return True
@@ -166,6 +166,13 @@ class Descent:
                     raise
                 continue
             return
+
+    def _bear(self, say: Callable[[], None]) -> None:
+        """Words must not end a landing: a terminal may be gone, a disk full."""
+        try:
+            say()
+        except Exception as mistake:
+            self._mistake = self._mistake or mistake
 
     def _leave(self, intent: Intent, for_s: float, said: Callable[[], None] = lambda: None) -> bool:
         """Ask for a mode until ours is left, or the vehicle disarmed; the setpoints end then, not before."""
