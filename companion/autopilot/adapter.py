@@ -93,7 +93,7 @@ def held_setpoint(name: str, held_s: float, longest_s: float, remedy: str, level
         remedy: how it is set, up to the value.
         level: of the flight.
     """
-    wanted_s, why = 1.0, "a dead companion is noticed this late only"
+    wanted_s, why = min(1.0, longest_s), "a dead companion is noticed this late only"
     if level is not ControlLevel.ATTITUDE:
         longest_s = wanted_s = RATES_HELD_S
         why = (

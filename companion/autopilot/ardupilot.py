@@ -18,6 +18,10 @@ from companion.mavlink.protocol import Command
 THRUST_AS_THRUST = 8
 """Bit 3 of GUID_OPTIONS: SET_ATTITUDE_TARGET's thrust is thrust. Without it, it is a climb rate about 0.5."""
 
+GUIDED_HELD_S = 0.5
+"""How long the last attitude and thrust of a dead companion are borne: for the 3 s that GUID_TIMEOUT ships with, 5 % above
+hover is a climb of 2 m. A flight without states ends as soon by itself (`attitude_age_s`)."""
+
 _SOURCES = ("EK3_SRC1_POSXY", "EK3_SRC1_VELXY", "EK3_SRC1_POSZ", "EK3_SRC1_VELZ", "EK3_SRC1_YAW")
 EXTERNAL_NAVIGATION = 6.0
 """The value of EK3_SRC1_… that means ODOMETRY and the like."""
@@ -149,7 +153,9 @@ class ArduPilot(Adapter):
             findings.append(Finding(Verdict.OK, "ATC_ANGLE_BOOST", "0", "thrust goes through as sent"))
         timeout = parameters.get("GUID_TIMEOUT")
         if timeout is not None:
-            findings.append(held_setpoint("GUID_TIMEOUT", timeout, 3.0, "set GUID_TIMEOUT to", level))
+            findings.append(
+                held_setpoint("GUID_TIMEOUT", timeout, GUIDED_HELD_S, "set GUID_TIMEOUT to", level)
+            )
         hover = parameters.get("MOT_THST_HOVER")
         if hover is not None:
             sane = 0.1 <= hover <= 0.8

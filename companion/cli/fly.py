@@ -27,8 +27,8 @@ EPILOG = """examples:
   companion fly --endpoint /dev/ttyACM0,921600 --profile my_drone.toml --trajectory hover
 
 Ctrl-C lands; a second Ctrl-C hands back to the autopilot at once. A vehicle that is not a simulation is armed by
-its pilot, unless --arm is given. Exit codes: 0 flown as planned, 1 the link was lost, 2 refused or wrong input,
-3 ended early and landed or handed back.
+its pilot, unless --arm is given. Exit codes: 0 flown as planned, 1 the link was lost, or the autopilot took
+no mode that was asked for, 2 refused or wrong input, 3 ended early and landed or handed back.
 """
 
 

@@ -32,9 +32,9 @@ class Reaction(enum.IntEnum):
     HOLD = 4
     """The reference comes to rest smoothly and our law holds the place; after `hold_s` the vehicle is landed."""
     LAND = 5
-    """Our setpoints stop and the autopilot lands (PX4 AUTO.LAND, ArduPilot LAND)."""
+    """The autopilot is asked to land (PX4 AUTO.LAND, ArduPilot LAND) until it does; level setpoints go on until then."""
     HAND_BACK = 6
-    """Our setpoints stop, and the autopilot is asked once to hold (AUTO.LOITER, BRAKE)."""
+    """The same with a hold (AUTO.LOITER, BRAKE), where it takes none with a landing; then we are gone."""
     DISARM = 7
     """Motors off, in the air too. Only where it is configured and `allow_disarm` is set."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +25,7 @@ from companion.flight.outcome import (
     Interrupted,
     Outcome,
     PilotTookOver,
+    PlanFlown,
     Refused,
     WaitedTooLong,
 )
@@ -36,7 +38,7 @@ from companion.flight.recorder import Recorder
 from companion.flight.reporter import Reporter
 from companion.flight.stage import FlightRequest, FlightResult, Interrupts, Stage
 from companion.flight.supervisor import Supervisor, law_bounds
-from companion.flight.vehicle import HANDLED, Vehicle
+from companion.flight.vehicle import HANDLED, LANDED_STATE_HOLDS_S, Vehicle
 from companion.flightlog.reactions import in_words, reaction_times
 from companion.mavlink.link import Message, mav
 from companion.reference.trajectory import Frame, Placed, Trajectory, place
@@ -48,7 +50,6 @@ _STANDING = (
     Phase.ENGAGE,
     Phase.ARM,
 )  # idle setpoints go out, which must never meet a flying vehicle
-_FLYING = (mav.MAV_LANDED_STATE_IN_AIR, mav.MAV_LANDED_STATE_TAKEOFF)
 MOST_RAISED_M = 1.0  # beyond that it is another flight than was asked for
 LOWEST_SAMPLES = 400
 REAL_TIME_TOLERANCE = 0.02  # of the time passed: a lockstep simulation runs at any other speed
@@ -91,6 +92,7 @@ class Flight:
         self._real_time = False
         self._clocks_s = (0.0, 0.0)  # the autopilot's and ours, when it was ready
         self._answered_interrupts = 0
+        self._standing_counts = False  # whether it stands is known, and has to stay so
 
     def run(self) -> FlightResult:
         """Fly. Always ends with the vehicle in the safest state that could be reached.
@@ -106,19 +108,16 @@ class Flight:
             self._prepare()
             self._take_off()
             self._follow_plan()
-            how = self._descent.land("the plan is flown")
-            result = FlightResult(Outcome.COMPLETED, f"flown as planned, {how}")
+            result = self._descent.end(PlanFlown("the plan is flown"))
         except FlightEnd as end:
-            result = self._descent.end_safely(end)
+            result = self._descent.end(end)
         except WaitedTooLong as waited:
-            result = self._descent.end_safely(
-                Aborted(str(waited)) if self._stage.engaged else Refused(str(waited))
-            )
+            result = self._descent.end(Aborted(str(waited)) if self._stage.engaged else Refused(str(waited)))
         except UserError as error:
-            self._write_down(self._descent.end_safely(Refused(str(error))))
+            self._write_down(self._descent.end(Refused(str(error))))
             raise
         except Exception as error:  # a mistake of ours must not leave a vehicle in the air
-            self._write_down(self._descent.end_safely(Aborted(f"mistake in this program: {error!r}")))
+            self._write_down(self._descent.end(Aborted(f"mistake in this program: {error!r}")))
             raise
         return self._write_down(result)
 
@@ -155,6 +154,7 @@ class Flight:
         self._report(findings)
         self._stage.enter(Phase.READY)
         vehicle.on_state = self._loop.on_state
+        vehicle.on_lone_attitude = self._loop.on_lone_attitude
         waited_s = checks.wait_until_ready()
         reporter.say(f"ready after {waited_s:.1f} s")
         self._clocks_s = (vehicle.link.autopilot_time_s, time.monotonic())
@@ -176,6 +176,7 @@ class Flight:
         self._check_plan(self._stage.plan, float(ground.position_enu[2]))
         require_inside(settings.safety, self._stage.plan, ground.position_enu)
         level = level_with_heading(ground.yaw_rad)
+        self._require_standing()
         self._stage.enter(Phase.PROVE)
         loop.idle(level)
         started_s = vehicle.link.autopilot_time_s
@@ -325,7 +326,7 @@ class Flight:
         vehicle = self._vehicle
 
         def external() -> bool:
-            return vehicle.adapter.is_mode(vehicle.status.custom_mode, Intent.EXTERNAL)
+            return vehicle.is_ours
 
         if self._request.wait_for_offboard:
             self._reporter.say("waiting for the pilot to switch to offboard")
@@ -399,17 +400,15 @@ class Flight:
                 raise HandedBack("interrupted again: handed back to the autopilot at once")
             raise Interrupted("by Ctrl-C or SIGTERM")
         vehicle = self._vehicle
-        if self._stage.phase in _STANDING and vehicle.status.landed_state in _FLYING:
-            if self._stage.engaged:
-                raise HandedBack(
-                    "the vehicle was in the air when our mode began, and idle setpoints let it fall"
-                )
-            raise Refused(
-                "the vehicle is flying; a flight begins on the ground, with --wait-for-offboard too"
-            )
+        if self._stage.ending:
+            if self._stage.loop is not None:
+                self._stage.loop.check_absence()
+            return
+        if self._stage.phase in _STANDING and self._standing_counts:
+            self._judge_standing()
         if not self._stage.engaged:
             return
-        if not vehicle.adapter.is_mode(vehicle.status.custom_mode, Intent.EXTERNAL):
+        if not vehicle.is_ours:
             raise PilotTookOver(
                 f"mode is now {vehicle.adapter.mode_name(vehicle.status.custom_mode)}, which we did not ask for: "
                 "the pilot's wish, or the autopilot's own failsafe"
@@ -456,6 +455,33 @@ class Flight:
         if waited_s < self._settings.safety.hand_over_s:
             return ""
         return f"nobody has chosen a mode or moved a stick for {waited_s:.0f} s"
+
+    def _require_standing(self) -> None:
+        """From here on, until thrust rises, only what is known to be on the ground goes on. Raises Refused."""
+        vehicle = self._vehicle
+        with suppress(WaitedTooLong):
+            vehicle.until(lambda: vehicle.on_ground is not None, LANDED_STATE_HOLDS_S)
+        self._standing_counts = True
+        self._judge_standing()
+
+    def _judge_standing(self) -> None:
+        """Idle setpoints stop the motors, and whatever flies falls: landing, holding, or not saying which it is.
+
+        Raises:
+            HandedBack: it flies in our mode.
+            Refused: it flies in another, or does not say that it stands.
+        """
+        vehicle, engaged = self._vehicle, self._stage.engaged
+        if vehicle.on_ground:
+            return
+        if vehicle.on_ground is None:
+            raise Refused(
+                "the autopilot does not say whether the vehicle is on the ground (EXTENDED_SYS_STATE), and "
+                "a flight begins there: is that stream passed on by what lies between?"
+            )
+        if engaged and vehicle.status.armed:
+            raise HandedBack("the vehicle was in the air when our mode began, and idle setpoints let it fall")
+        raise Refused("the vehicle is flying; a flight begins on the ground, with --wait-for-offboard too")
 
     def _on_message(self, message: Message) -> None:
         if message.get_msgId() == _RC_CHANNELS:

@@ -66,6 +66,7 @@ class Stage:
     loop: ControlLoop | None = None  # none before the autopilot is known
     plan: FlightPlan | None = None  # none before the vehicle stands ready
     engaged: bool = False  # our mode was confirmed and we count on it
+    ending: bool = False  # what counts from here on is who has the vehicle next
     airborne: bool = False
     nobody_has_it: Callable[[], str] = lambda: ""
     """After a hand-over to the sticks: why nobody is believed to have the vehicle; empty while somebody is."""

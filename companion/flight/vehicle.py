@@ -14,6 +14,7 @@ from companion.autopilot.adapter import (
     STATUS_MESSAGES,
     TRUTH_MESSAGES,
     Adapter,
+    Intent,
     VehicleStatus,
     Version,
     version_text,
@@ -37,6 +38,7 @@ from companion.mavlink.protocol import (
 from companion.mavlink.state import STATE_MESSAGES, StateAssembler
 from companion.mavlink.status_text import StatusText, StatusTexts
 
+LANDED_STATE_HOLDS_S = 2.5  # of the autopilot's time; asked for at 5 Hz, on a slow line it comes at 1 Hz
 POLL_S = 0.05
 POSE_POLL_S = 0.005
 ACK_TIMEOUT_S = 1.0
@@ -44,6 +46,7 @@ IN_PROGRESS_S = 3.0  # from one "in progress" to the next word
 LISTEN_S = 1.2  # for a second autopilot: a HEARTBEAT comes every second
 TRIES = 4
 HEARTBEATS_OF_A_CLOCK_THAT_STANDS = 5
+_EXTENDED_SYS_STATE: int = mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE
 _TIMESYNC: int = mav.MAVLINK_MSG_ID_TIMESYNC
 _HEARTBEAT: int = mav.MAVLINK_MSG_ID_HEARTBEAT
 _STATUSTEXT: int = mav.MAVLINK_MSG_ID_STATUSTEXT
@@ -54,7 +57,10 @@ HANDLED = STATE_MESSAGES | STATUS_MESSAGES | TRUTH_MESSAGES | {_TIMESYNC, _COMMA
 
 
 class Vehicle:
-    """See the module. `on_state` is called with every new state, `on_message` with every message before that."""
+    """See the module. `on_state` is called with every new state, `on_message` with every message before that.
+
+    `on_lone_attitude` is called with every attitude that has no position (a state whose position is not a number).
+    """
 
     def __init__(self, link: Link, silence_limit_s: float) -> None:
         self.link = link
@@ -71,13 +77,28 @@ class Vehicle:
         self.version: Version | None = None  # None: not told, or built without one
         self.simulated = False  # only a simulation publishes its true state
         self.silence_limit_s = silence_limit_s
+        self.landed_state_s = -math.inf  # when EXTENDED_SYS_STATE was heard last, the autopilot's time
         self.on_state: Callable[[VehicleState], None] = lambda _: None
+        self.on_lone_attitude: Callable[[VehicleState], None] = lambda _: None
         self.on_message: Callable[[Message], None] = lambda _: None
         self.watch: Callable[[], None] = lambda: None
         self.on_notice: Callable[[str], None] = lambda _: None
         self.outside_poses: OutsidePoses | None = None
         self.poses = PoseComparison()
         self.poses_are_used: bool | None = None  # by the estimator; None: not known
+
+    @property
+    def on_ground(self) -> bool | None:
+        """What the land detector says (EXTENDED_SYS_STATE); None where it says nothing, or said it too long ago."""
+        state, age_s = self.status.landed_state, self.link.autopilot_time_s - self.landed_state_s
+        if state == mav.MAV_LANDED_STATE_UNDEFINED or not 0.0 <= age_s <= LANDED_STATE_HOLDS_S:
+            return None
+        return bool(state == mav.MAV_LANDED_STATE_ON_GROUND)
+
+    @property
+    def is_ours(self) -> bool:
+        """Whether the autopilot is in the mode in which it follows our setpoints."""
+        return self.adapter.is_mode(self.status.custom_mode, Intent.EXTERNAL)
 
     # Waiting ----------------------------------------------------------------------------------------
 
@@ -182,6 +203,8 @@ class Vehicle:
             self.status.take(message, self.link.autopilot_time_s)
             if kind == _HEARTBEAT:
                 self._hear_texts(self._texts.overdue(time.monotonic()))
+            if kind == _EXTENDED_SYS_STATE:
+                self.landed_state_s = self.link.autopilot_time_s
         elif kind == _COMMAND_ACK:
             self.commands.take(message)
         elif kind == _PARAM_VALUE:
@@ -192,6 +215,8 @@ class Vehicle:
             if state is not None:
                 self.state = state
                 self.on_state(state)
+            elif self.assembler.lone_attitude is not None:
+                self.on_lone_attitude(self.assembler.lone_attitude)
 
     def _hear_texts(self, texts: list[StatusText]) -> None:
         for each in texts:

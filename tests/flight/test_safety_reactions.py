@@ -129,11 +129,24 @@ def test_the_fall_back_switches_the_networks_off_without_a_bump(stub, tmp_path):
     assert weights.max() == 0.0
 
 
-def test_hand_back_stops_the_setpoints_and_asks_for_a_hold(stub, tmp_path):
+def tilts_and_thrusts(sent: list) -> tuple[np.ndarray, np.ndarray]:
+    """Of decoded SET_ATTITUDE_TARGETs: ° and 0..1."""
+    tilts = np.degrees([math.acos(1.0 - 2.0 * (m.q[1] ** 2 + m.q[2] ** 2)) for m in sent])
+    return tilts, np.array([m.thrust for m in sent])
+
+
+def test_hand_back_asks_for_a_hold_and_keeps_level_until_it_has_it(stub, tmp_path):
     flown = fly_short(stub, tmp_path, settings=only("hand_back", "flight.safety.silence_s=2.0"))
     assert flown.result.outcome is Outcome.HANDED_BACK
     assert "position_error_m" in flown.result.text
-    assert flown.setpoints_after("safety", reaction="hand_back") == 0
+    taken = flown.record.events_of("mode")[-1]
+    assert taken.fields["mode"] == "AUTO.LOITER"
+    times, sent = setpoints(flown)
+    assert (times > taken.time_s + 1e-6).sum() <= 1
+    after = times > entered(flown, "hand_back") + 1e-6
+    tilts, thrusts = tilts_and_thrusts(sent)
+    assert tilts[after].max(initial=0.0) < 0.1
+    assert thrusts[after].max(initial=0.0) < 1.03 * np.median(thrusts[~after][-100:])  # what it hovered with
 
 
 def test_disarm_stops_the_motors_where_it_is_configured(stub, tmp_path):
@@ -150,9 +163,9 @@ def test_land_is_asked_for_within_a_state_and_taken_within_a_tenth_of_a_second(s
     began = entered(flown, "land")
     taken = next(e.time_s for e in flown.record.events_of("mode") if e.fields["mode"] == "AUTO.LAND")
     assert taken - began < 0.1
-    assert flown.setpoints_after("safety", reaction="land") == 0
-    times, _ = setpoints(flown)
-    assert began - times[-1] < 0.021  # the last one belongs to the state before
+    assert flown.setpoints_after("mode", mode="AUTO.LAND") <= 1
+    times, sent = setpoints(flown)
+    assert tilts_and_thrusts(sent)[0][times > began + 1e-6].max(initial=0.0) < 0.1
 
 
 def test_landing_without_an_answer_to_the_command_stops_the_setpoints_too(tmp_path):
@@ -378,8 +391,12 @@ def test_a_loop_that_hangs_sends_nothing_and_lands_when_it_wakes(stub, tmp_path,
     stalled = next(e for e in safety_events(flown) if e["reaction"] == "loop stalled")
     assert 1.0 < stalled["value"] < 2.0  # told while it hung, by the thread that watches
     tracking = flown.record.events_of("tracking")[0].time_s
-    times, _ = setpoints(flown)
-    assert (times > tracking + 0.011).sum() == 0  # neither while it hung nor what was begun before
+    times, sent = setpoints(flown)
+    late = (
+        times > tracking + 0.011
+    )  # nothing while it hung, nor what was begun before; then level until LAND shows
+    assert late.sum() < 30
+    assert tilts_and_thrusts(sent)[0][late].max(initial=0.0) < 0.1
     assert "AUTO.LAND" in flown.modes
     assert flown.armed == [True, False]
 
@@ -399,6 +416,20 @@ def test_a_vehicle_that_flies_already_is_never_given_idle_setpoints(tmp_path):
     assert "the vehicle is flying" in flown.result.text
     assert "OFFBOARD" not in flown.modes
     assert flown.armed == [True]
+
+
+@pytest.mark.parametrize("begins_s", [0.0, 3.0], ids=["from the start", "just before arming"])
+def test_a_vehicle_that_does_not_say_whether_it_stands_is_refused(tmp_path, begins_s):
+    scenario = tmp_path / "silent.toml"
+    scenario.write_text(
+        f'[[fault]]\nkind = "stream_stop"\nat_s = {begins_s}\nmessages = ["EXTENDED_SYS_STATE"]\n'
+    )
+    settings = ["flight.procedure.prove_s=6"]
+    with lockstep_stub("--scenario", str(scenario)) as stub:
+        flown = fly_short(stub, tmp_path, settings=settings)
+    assert flown.result.outcome is Outcome.REFUSED
+    assert "does not say whether the vehicle is on the ground (EXTENDED_SYS_STATE)" in flown.result.text
+    assert flown.armed == []
 
 
 def test_the_switch_to_offboard_can_be_the_pilots(tmp_path):
