@@ -148,7 +148,6 @@ def run(arguments: argparse.Namespace) -> int:
     outcome, text, code = fly_once(
         arguments, arguments.controller, arguments.seed, log_path, arguments.overwrite
     )
-    print(f"{outcome}: {text}", file=sys.stderr)
     report = _report_path(arguments.report, log_path)
     _show(log_path, report, arguments.json, outcome, text)
     return code
@@ -207,6 +206,7 @@ def fly_once(
         )
         try:
             result = fly(settings, options, reporter)
+            reporter.say(f"{result.outcome.value}: {result.text}")
         finally:
             reporter.close()
     return result.outcome.value, result.text, result.outcome.exit_code
