@@ -91,8 +91,7 @@ def _fly_all(arguments: argparse.Namespace) -> tuple[list[Path], int]:
     for number, (seed, controller) in enumerate(flights, start=1):
         print(f"== flight {number} of {len(flights)}: {controller}, seed {seed}", file=sys.stderr)
         log = folder / f"{controller}-{arguments.level}-seed{seed}.mcap"
-        outcome, text, code = fly_once(arguments, controller, seed, log, overwrite=True)
-        print(f"{outcome}: {text}", file=sys.stderr)
+        outcome, _text, code = fly_once(arguments, controller, seed, log, overwrite=True)
         if code == 2:
             raise UserError(f"{controller}, seed {seed}, was refused; nothing to compare")
         if outcome == "interrupted" or (code and not arguments.sitl):

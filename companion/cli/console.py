@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import os
+import queue
 import sys
+import threading
 
 from companion.autopilot.adapter import Finding, Verdict
 from companion.flight.phases import Phase
@@ -11,13 +15,22 @@ from companion.flight.reporter import Reporter
 
 _MARKS = {Verdict.OK: "ok     ", Verdict.WARNING: "warning", Verdict.REFUSAL: "REFUSED"}
 _BAR = 24
+_STDERR = 2
+_WAITING = 1000  # lines that a terminal which takes none may owe; what is more is not shown
+_LAST_WORDS_S = 1.0  # how long the end of a flight waits for such a terminal
 
 
 class ConsoleReporter(Reporter):
-    """One line a phase; on a terminal the last line moves while the flight goes on."""
+    """One line a phase; on a terminal the last line moves while the flight goes on.
+
+    Words leave through a thread of their own: a terminal that is stopped, closed or gone costs words, never control.
+    """
 
     def __init__(self) -> None:
-        self._moving = sys.stderr.isatty()
+        self._words: queue.Queue[str | None] = queue.Queue(_WAITING)
+        self._speaker = threading.Thread(target=self._speak, name="console", daemon=True)
+        self._speaker.start()
+        self._moving = _is_terminal()
         self._open_line = False
         self._phase: Phase | None = None
         self._quiet_until_s = -math.inf
@@ -25,7 +38,7 @@ class ConsoleReporter(Reporter):
     def say(self, text: str) -> None:
         """See `Reporter.say`."""
         self._close_line()
-        print(text, file=sys.stderr, flush=True)
+        self._put(text + "\n")
 
     def finding(self, finding: Finding) -> None:
         """See `Reporter.finding`."""
@@ -44,17 +57,43 @@ class ConsoleReporter(Reporter):
         bar = "#" * round(done * _BAR)
         line = f"  {bar:.<{_BAR}} {time_s:5.1f} of {of_s:.1f} s  {phase.value}: {text}"
         if self._moving:
-            print(f"\r{line}\x1b[K", end="", file=sys.stderr, flush=True)
+            self._put(f"\r{line}\x1b[K")
             self._open_line = True
         elif time_s >= self._quiet_until_s:
             self._quiet_until_s = time_s + 10.0
-            print(line, file=sys.stderr, flush=True)
+            self._put(line + "\n")
 
     def close(self) -> None:
-        """Leave the terminal with a finished line."""
+        """Leave the terminal with a finished line; one that takes nothing is not waited for."""
         self._close_line()
+        with contextlib.suppress(queue.Full):
+            self._words.put_nowait(None)
+        self._speaker.join(_LAST_WORDS_S)
+
+    def _put(self, words: str) -> None:
+        with contextlib.suppress(queue.Full):
+            self._words.put_nowait(words)
+
+    def _speak(self) -> None:
+        """Write to the file descriptor itself: a lock of `sys.stderr` held here would stop the interpreter's end."""
+        while (words := self._words.get()) is not None:
+            left = words.encode(_encoding(), "replace")
+            with contextlib.suppress(OSError):
+                while left:
+                    left = left[os.write(_STDERR, left) :]
 
     def _close_line(self) -> None:
         if self._open_line:
-            print(file=sys.stderr)
+            self._put("\n")
             self._open_line = False
+
+
+def _encoding() -> str:
+    return getattr(sys.stderr, "encoding", None) or "utf-8"
+
+
+def _is_terminal() -> bool:
+    try:
+        return os.isatty(_STDERR)
+    except OSError:
+        return False

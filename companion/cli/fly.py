@@ -176,7 +176,6 @@ def run(arguments: argparse.Namespace) -> int:
     finally:
         if claimed and not log_path.stat().st_size:  # nothing was flown
             log_path.unlink()
-    print(f"{outcome}: {text}", file=sys.stderr)
     _show(log_path, report, arguments.json, outcome, text)
     return code
 
@@ -275,6 +274,7 @@ def fly_once(
         )
         try:
             result = fly(settings, options, reporter)
+            reporter.say(f"{result.outcome.value}: {result.text}")
         finally:
             reporter.close()
     return result.outcome.value, result.text, result.outcome.exit_code

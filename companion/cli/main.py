@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import importlib.metadata
+import io
 import sys
 from collections.abc import Sequence
 from types import ModuleType
@@ -35,6 +36,9 @@ _EPILOG = """examples:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal without ° or é is no reason to fail
     parser = argparse.ArgumentParser(
         prog="companion",
         description="Flies PX4 and ArduPilot multirotors over MAVLink from a companion computer.",
