@@ -220,7 +220,7 @@ class Vehicle:
 
     def _hear_texts(self, texts: list[StatusText]) -> None:
         for each in texts:
-            message = mav.MAVLink_statustext_message(each.severity, each.text)
+            message = mav.MAVLink_statustext_message(each.severity, each.text.encode())
             self.status.take(message)
             self.on_message(message)
 
