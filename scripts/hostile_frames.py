@@ -36,9 +36,9 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from companion.mavlink.link import Link
 from sitl_stub import Stub
-from sitl_stub.firmware.ardupilot_build import build_ardupilot
-from sitl_stub.firmware.autopilot import Autopilot
-from sitl_stub.firmware.px4_build import build_px4
+from sitl_stub.firmware.ardupilot.build import build_ardupilot
+from sitl_stub.firmware.common.autopilot import Autopilot
+from sitl_stub.firmware.px4.build import build_px4
 from sitl_stub.mavlink.links import MemoryLink
 
 CAPTURES = {"px4": "px4_sih_qball2.tlog.gz", "ardupilot": "arducopter_sitl.tlog.gz"}

@@ -21,7 +21,7 @@ from sitl_stub.mavlink.udp import UdpLink
 
 if TYPE_CHECKING:
     from sitl_stub.faults.control import ControlChannel
-    from sitl_stub.firmware.autopilot import Autopilot
+    from sitl_stub.firmware.common.autopilot import Autopilot
 
 BARRIER_PATIENCE_S = 2.0
 """Wall time one answer is waited for."""

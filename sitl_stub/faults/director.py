@@ -13,7 +13,7 @@ from sitl_stub.faults.frames import FrameFaults
 from sitl_stub.faults.scenario import ANCHORS, Entry, Scenario
 
 if TYPE_CHECKING:
-    from sitl_stub.firmware.autopilot import Autopilot
+    from sitl_stub.firmware.common.autopilot import Autopilot
 
 NOTICE = 5
 """MAV_SEVERITY."""

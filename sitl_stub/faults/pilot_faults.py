@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from sitl_stub.faults.fault import Effect, Fault, Site, choice, hold, number, switch
-from sitl_stub.firmware import ardupilot_modes, px4_modes
+from sitl_stub.firmware.ardupilot import modes as ardupilot_modes
+from sitl_stub.firmware.px4 import modes as px4_modes
 
 if TYPE_CHECKING:
     from sitl_stub.physics.vehicle import VehicleParameters

@@ -142,8 +142,8 @@ def stub(firmware: str) -> Callable[[bytes], None]:
     An autopilot lives for INPUTS_PER_AUTOPILOT inputs, so that states are reached that one input does not reach; what
     fails is tried on a new one, and where it passes there, the note of the exception holds all inputs since the last.
     """
-    from sitl_stub.firmware.ardupilot_build import build_ardupilot
-    from sitl_stub.firmware.px4_build import build_px4
+    from sitl_stub.firmware.ardupilot.build import build_ardupilot
+    from sitl_stub.firmware.px4.build import build_px4
     from sitl_stub.mavlink.links import MemoryLink
 
     build = {"px4": build_px4, "ardupilot": partial(build_ardupilot, ready_after_s=1.0)}[firmware]

@@ -7,8 +7,8 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from stub_client import MemoryClient
 
-from sitl_stub.firmware.ardupilot import ArduPilot
-from sitl_stub.firmware.ardupilot_build import build_ardupilot
+from sitl_stub.firmware.ardupilot.autopilot import ArduPilot
+from sitl_stub.firmware.ardupilot.build import build_ardupilot
 
 GUIDED, LOITER, LAND, RTL, BRAKE, GUIDED_NOGPS = 4, 5, 9, 6, 17, 20
 THRUST_AS_THRUST = {"GUID_OPTIONS": 8.0, "ATC_ANGLE_BOOST": 0.0}

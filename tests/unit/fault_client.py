@@ -10,7 +10,7 @@ from stub_client import MemoryClient
 
 from sitl_stub.faults.director import FaultDirector
 from sitl_stub.faults.scenario import entry_from, scenario_from
-from sitl_stub.firmware.px4_modes import Mode as Px4Mode
+from sitl_stub.firmware.px4.modes import Mode as Px4Mode
 
 
 def with_faults(client: MemoryClient, *faults: dict[str, Any], seed: int = 0, **top: Any) -> MemoryClient:

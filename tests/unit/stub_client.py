@@ -7,8 +7,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from sitl_stub.firmware.px4 import Px4
-from sitl_stub.firmware.px4_build import build_px4
+from sitl_stub.firmware.px4.autopilot import Px4
+from sitl_stub.firmware.px4.build import build_px4
 from sitl_stub.mavlink.codec import Received
 from sitl_stub.mavlink.links import MemoryLink
 

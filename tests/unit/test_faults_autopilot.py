@@ -19,9 +19,9 @@ from fault_client import (
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from stub_client import MemoryClient
 
-from sitl_stub.firmware import ardupilot_layout as at
-from sitl_stub.firmware.ardupilot_modes import Mode as ArduMode
-from sitl_stub.firmware.px4_modes import Mode as Px4Mode
+from sitl_stub.firmware.ardupilot import layout as at
+from sitl_stub.firmware.ardupilot.modes import Mode as ArduMode
+from sitl_stub.firmware.px4.modes import Mode as Px4Mode
 
 
 # --- clock --------------------------------------------------------------------------------------------------------

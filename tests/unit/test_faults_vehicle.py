@@ -12,9 +12,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sitl_stub.faults.fault import FaultError
 from sitl_stub.faults.scenario import Target, entry_from, scenario_from
-from sitl_stub.firmware.ardupilot_modes import Mode as ArduMode
-from sitl_stub.firmware.px4_events import event_number
-from sitl_stub.firmware.px4_modes import Mode as Px4Mode
+from sitl_stub.firmware.ardupilot.modes import Mode as ArduMode
+from sitl_stub.firmware.px4.events import event_number
+from sitl_stub.firmware.px4.modes import Mode as Px4Mode
 from sitl_stub.physics import vehicle as body
 from sitl_stub.physics.vehicle import load_vehicle
 

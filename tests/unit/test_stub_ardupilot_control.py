@@ -10,11 +10,12 @@ from ardupilot_client import BRAKE, GUIDED, HOVER, LAND, LOITER, RTL, THRUST_AS_
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sitl_stub.firmware import ardupilot_layout as at
-from sitl_stub.firmware.ardupilot_build import ardupilot_parameters, build_ardupilot
-from sitl_stub.firmware.ardupilot_core import ArduPilotCore
-from sitl_stub.firmware.ardupilot_mixing import mix, motor_factors
-from sitl_stub.firmware.ardupilot_shaping import (
+from sitl_stub.firmware.ardupilot import layout as at
+from sitl_stub.firmware.ardupilot.build import build_ardupilot
+from sitl_stub.firmware.ardupilot.core import ArduPilotCore
+from sitl_stub.firmware.ardupilot.mixing import mix, motor_factors
+from sitl_stub.firmware.ardupilot.parameters import fitted_parameters
+from sitl_stub.firmware.ardupilot.shaping import (
     from_rotation_vector,
     inverse_sqrt_controller,
     multiply,
@@ -261,7 +262,7 @@ def test_rotation_vectors_there_and_back(v: tuple[float, float, float]) -> None:
 def mixed(roll: float, pitch: float, yaw: float, throttle: float) -> tuple[np.ndarray, np.ndarray]:
     """Thrust of each motor of the capture's frame (0..1), and the memory, for one wish."""
     vehicle = load_vehicle("arducopter")
-    parameters = ardupilot_parameters(vehicle)
+    parameters = fitted_parameters(vehicle)
     parameters.set("MOT_THST_EXPO", 0.0)
     memory = np.zeros(at.MEMORY_SIZE)
     memory[at.SPOOL_STATE] = at.STATE_UNLIMITED
@@ -305,9 +306,7 @@ def test_yaw_gives_way_before_roll_and_pitch() -> None:
 
 
 def test_target_moves_with_the_acceleration_of_the_parameter() -> None:
-    core = ArduPilotCore(
-        load_vehicle("arducopter"), ardupilot_parameters(load_vehicle("arducopter")), "perfect"
-    )
+    core = ArduPilotCore(load_vehicle("arducopter"), fitted_parameters(load_vehicle("arducopter")), "perfect")
     core.setpoint[at.SPOOL] = at.SPOOL_UNLIMITED
     core.setpoint[at.LATERAL] = at.LATERAL_RATES
     core.setpoint[at.RATES] = 3.0
@@ -319,7 +318,7 @@ def test_target_moves_with_the_acceleration_of_the_parameter() -> None:
 def test_other_vehicles_turn_alike() -> None:
     def time_to_63_percent(name: str) -> float:
         vehicle = load_vehicle(name)
-        core = ArduPilotCore(vehicle, ardupilot_parameters(vehicle), "perfect")
+        core = ArduPilotCore(vehicle, fitted_parameters(vehicle), "perfect")
         s = core.setpoint
         ratio = vehicle.mass_kg * vehicle.gravity_m_s2 / float(vehicle.max_thrust_newton.sum())
         s[at.SPOOL], s[at.LATERAL], s[at.THRUST] = at.SPOOL_UNLIMITED, at.LATERAL_QUATERNION, 1.1 * ratio

@@ -23,7 +23,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from sitl_stub.firmware.ardupilot_parameters import stock_parameters
+from sitl_stub.firmware.ardupilot.parameters import stock_parameters
 from sitl_stub.mavlink.codec import LAYOUTS, Received, unpack_payload
 
 ACCEPTED, DENIED, UNSUPPORTED, FAILED = 0, 2, 3, 4

@@ -10,10 +10,10 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from stub_client import LEVEL, MemoryClient
 
-from sitl_stub.firmware import control_layout as at
-from sitl_stub.firmware.px4_build import build_px4
-from sitl_stub.firmware.px4_events import Event
-from sitl_stub.firmware.px4_modes import Mode
+from sitl_stub.firmware.px4 import layout as at
+from sitl_stub.firmware.px4.build import build_px4
+from sitl_stub.firmware.px4.events import Event
+from sitl_stub.firmware.px4.modes import Mode
 from sitl_stub.mavlink.codec import LAYOUTS, NEWER_MESSAGES
 from sitl_stub.physics.vehicle import IMPACT_SPEED
 
