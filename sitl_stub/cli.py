@@ -190,7 +190,7 @@ def main(arguments: list[str] | None = None) -> int:
             print(f"[{autopilot.time_us * 1e-6:9.3f}] {text}", flush=True)
 
     server.say = say
-    autopilot.on_text = say
+    autopilot.voice.on_text = say
     server.duration_us = None if options.duration is None else int(options.duration * 1e6)
     server.exit_on_disarm = options.exit_on_disarm
     if stopping.is_set():

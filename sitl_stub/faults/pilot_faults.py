@@ -94,7 +94,7 @@ class PilotKill(Fault):
         """Switch."""
 
         def use(let: float) -> None:
-            site.autopilot.killed = let < 1.0
+            site.autopilot.pilot_kill(let < 1.0)
 
         with site.setting("kill switch", 0.0, use, otherwise=1.0):
             yield from hold()

@@ -95,7 +95,7 @@ def test_reboot_of_ardupilot_boots_through_all_its_stages() -> None:
     client.advance(0.5)
     client.take()
     client.advance(1.5)
-    assert not client.autopilot.armed and client.autopilot.mode is ArduMode.STABILIZE
+    assert not client.autopilot.armed and client.autopilot.state.mode is ArduMode.STABILIZE
     assert client.autopilot.core.memory[at.OUT_MOTORS] == 0.0
     said = texts(client)
     assert "ArduPilot Ready" in said and "EKF3 IMU0 is using GPS" in said
@@ -123,7 +123,7 @@ def test_estimator_reset_jumps_counts_and_does_not_move_a_holding_vehicle() -> N
 
 def test_estimator_reset_of_ardupilot_is_taken_along_too() -> None:
     client = flying_ardupilot("LOCAL_POSITION_NED")
-    assert client.command(176, 1, ArduMode.BRAKE.number) == [0]
+    assert client.command(176, 1, ArduMode.BRAKE.custom_mode) == [0]
     client.advance(2.0)
     before = client.last("LOCAL_POSITION_NED")
     truth = client.autopilot.core.state[:3].copy()
@@ -182,7 +182,7 @@ def test_invalid_flags_land_ardupilot_after_a_second() -> None:
     seen = client.take()
     assert not [m.flags for m in seen if m.name == "EKF_STATUS_REPORT"][-1] & 16
     assert len([m for m in seen if m.name == "LOCAL_POSITION_NED"]) <= 1
-    assert client.autopilot.mode is ArduMode.GUIDED
+    assert client.autopilot.state.mode is ArduMode.GUIDED
     client.advance(0.2)
     assert texts(client) == ["EKF variance", "EKF Failsafe: changed to LAND Mode"]
     client.advance(3.0)
@@ -196,7 +196,7 @@ def test_other_actions_on_a_lost_estimate(action: int) -> None:
     client = flying_ardupilot(parameters={"FS_EKF_ACTION": action})
     inject(client, "estimator_invalid", for_s=1.5)
     client.advance(1.4)
-    assert client.autopilot.mode is (ArduMode.GUIDED, None, ArduMode.ALT_HOLD)[action]
+    assert client.autopilot.state.mode is (ArduMode.GUIDED, None, ArduMode.ALT_HOLD)[action]
     client.advance(2.0)
     acted = ("EKF Failsafe", "", "EKF Failsafe: changed to ALT_HOLD Mode")[action]
     assert texts(client) == ["EKF variance", acted, "EKF Failsafe Cleared"]
@@ -234,9 +234,9 @@ def test_lost_gps_of_ardupilot_ends_in_its_failsafe() -> None:
     assert [m.fix_type for m in seen if m.name == "GPS_RAW_INT"][-1] == 1
     assert not [m for m in seen if m.name == "SYS_STATUS"][-1].onboard_control_sensors_health & 32
     client.advance(5.5)
-    assert client.autopilot.mode is ArduMode.GUIDED
+    assert client.autopilot.state.mode is ArduMode.GUIDED
     client.advance(2.0)  # 7 s until EKF3 gives the position up, one more until ArduCopter acts
-    assert client.autopilot.mode is ArduMode.LAND
+    assert client.autopilot.state.mode is ArduMode.LAND
     client.take()
     client.advance(7.0)
     assert texts(client) == ["EKF3 IMU0 stopped aiding", "EKF3 IMU1 stopped aiding"]
@@ -263,7 +263,7 @@ def test_pilot_takes_ardupilot_by_mode_and_holds_its_height() -> None:
     client = flying_ardupilot()
     inject(client, "pilot_mode", mode="ALT_HOLD")
     client.advance(3.0)
-    assert client.last("HEARTBEAT").custom_mode == ArduMode.ALT_HOLD.number
+    assert client.last("HEARTBEAT").custom_mode == ArduMode.ALT_HOLD.custom_mode
     assert client.height_m == pytest.approx(5.0, abs=0.2)
 
 

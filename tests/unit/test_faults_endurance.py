@@ -74,8 +74,8 @@ def fly_through(client: MemoryClient, firmware: str, tables: list[dict[str, Any]
     client.advance(0.2)
     assert np.isfinite(core.state[:60]).all() and np.isfinite(core.estimate).all()
     client.take()
-    if client.autopilot.uptime_us < 0:
-        client.advance(-client.autopilot.uptime_us * 1e-6 + 0.2)
+    if client.autopilot.clock.uptime_us < 0:
+        client.advance(-client.autopilot.clock.uptime_us * 1e-6 + 0.2)
     client.advance(1.1)
     assert "HEARTBEAT" in {message.name for message in client.take()}
 

@@ -129,7 +129,7 @@ def test_times_count_from_what_they_come_after() -> None:
     )
     said: list[tuple[float, str]] = []
     autopilot = client.autopilot
-    autopilot.on_text = lambda text: said.append((autopilot.time_us * 1e-6, text))
+    autopilot.voice.on_text = lambda text: said.append((autopilot.time_us * 1e-6, text))
     held: dict[str, float] = {}
 
     def look() -> None:

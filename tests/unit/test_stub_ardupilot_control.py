@@ -208,7 +208,7 @@ def test_loiter_without_a_radio_comes_down_because_the_stick_is_down(flying: Ard
     start = flying.height_m
     flying.advance(1.4)
     assert start - flying.height_m == pytest.approx(1.39, abs=0.15)
-    flying.autopilot.flight.sticks.throttle = 0.5
+    flying.autopilot.state.sticks.throttle = 0.5
     flying.advance(3.0)
     height = flying.height_m
     flying.advance(2.0)

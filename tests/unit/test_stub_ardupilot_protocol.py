@@ -324,7 +324,7 @@ def test_any_numbers_in_any_message_are_survived() -> None:
     random = np.random.default_rng(5)
     floats = [0.0, 1.0, -1.0, 4.0, 0.5, 1e-30, 1e9, -1e9, 3e38, math.nan, math.inf, -math.inf]
     integers = [0, 1, 2, 4, 7, 9, 64, 128, 255, 400, 511, 2048, 3576, 65535, 2**31 - 1, -1]
-    commands = [*client.autopilot.commands, 31999]
+    commands = [*client.autopilot.command_protocol.handlers, 31999]
     names = [name for name in client.autopilot.messages if name not in ("PARAM_SET", "TIMESYNC")]
     for count in range(3000):
         layout = LAYOUTS[names[int(random.integers(len(names)))]]

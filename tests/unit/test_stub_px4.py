@@ -21,7 +21,7 @@ HOVER = 0.3658
 
 
 def _mode(client: MemoryClient) -> Mode:
-    return client.autopilot.commander.mode
+    return client.autopilot.state.mode
 
 
 # --- arming -------------------------------------------------------------------------------------------------------
@@ -161,7 +161,7 @@ def test_rates_meet_the_attitude_loop_until_the_mode_is_published() -> None:
     client = MemoryClient(estimator="perfect")
     client.in_the_air()
     client.advance(1.2, every=lambda: client.attitude(HOVER), period_s=0.01)
-    while client.autopilot.time_us - client.autopilot._latched_us != 0:
+    while client.autopilot.time_us - client.autopilot.control.latched_us != 0:
         client.attitude(HOVER)
         client.autopilot.step()
     rates: list[float] = []
@@ -237,7 +237,7 @@ def test_take_off_hold_return_land_and_disarm_by_its_own_modes() -> None:
     assert client.height_m == pytest.approx(client.autopilot.parameters["MIS_TAKEOFF_ALT"], abs=0.35)
     states = [m.landed_state for m in client.take("EXTENDED_SYS_STATE")]
     assert [s for i, s in enumerate(states) if i == 0 or s != states[i - 1]] == [1, 3, 2]
-    target = client.autopilot.say_messages.origin.globe_e7(5.0, -3.0)
+    target = client.autopilot.state.origin.globe_e7(5.0, -3.0)
     client.send(
         mavlink.MAVLink_command_int_message(1, 1, 6, 192, 0, 0, -1, 0, 0, math.nan, *target, math.nan)
     )
@@ -418,7 +418,7 @@ def test_truth_is_the_truth() -> None:
     client.command(511, 115, 100000)
     client.advance(0.5)
     truth = client.last("HIL_STATE_QUATERNION")
-    origin = client.autopilot.say_messages.origin
+    origin = client.autopilot.state.origin
     assert (truth.lat, truth.lon) == origin.globe_e7(0.0, 0.0)
     assert list(truth.attitude_quaternion) == [1, 0, 0, 0]
     assert client.autopilot.core.position_ned[0] != 0.0

@@ -6,16 +6,16 @@ Texts, order and counting as in ArduCopter's `ekf_check.cpp`, `events.cpp` and `
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import TYPE_CHECKING
 
+from sitl_stub.firmware.ardupilot.battery import BatteryLevel
+from sitl_stub.firmware.ardupilot.commander import Commander
+from sitl_stub.firmware.ardupilot.flight_modes import FlightModes
 from sitl_stub.firmware.ardupilot.modes import Mode
+from sitl_stub.firmware.ardupilot.state import ArduPilotState
+from sitl_stub.firmware.ardupilot.voice import ArduPilotVoice
+from sitl_stub.firmware.common.mavlink_ids import Severity
 from sitl_stub.physics import vehicle as body
 
-if TYPE_CHECKING:
-    from sitl_stub.firmware.ardupilot.autopilot import ArduPilot
-
-CRITICAL, WARNING = 2, 4
-"""MAV_SEVERITY."""
 CHECK_PERIOD_US = 100_000
 """Estimator and battery are looked at ten times a second."""
 GROUND_STATION_PERIOD_US = 330_000
@@ -65,21 +65,16 @@ GROUND_STATION_ACTIONS = {
 """FS_GCS_ENABLE; 0 does nothing, others return."""
 
 
-class BatteryLevel(IntEnum):
-    """How empty it is; the value is BATTERY_STATUS.charge_state."""
-
-    OK = 1
-    LOW = 2
-    CRITICAL = 3
-
-
 class Failsafes:
     """The failsafes of one vehicle."""
 
-    def __init__(self, autopilot: ArduPilot) -> None:
-        self.autopilot = autopilot
-        self.battery = BatteryLevel.OK
-        """The worst that has been declared; nothing takes it back until the firmware restarts."""
+    def __init__(
+        self, state: ArduPilotState, voice: ArduPilotVoice, commander: Commander, flight_modes: FlightModes
+    ) -> None:
+        self.state = state
+        self.voice = voice
+        self.commander = commander
+        self.flight_modes = flight_modes
         self._priority = len(PRIORITIES)
         self._below_since_us: dict[BatteryLevel, int] = {}
         self._ekf_was_good = False
@@ -91,7 +86,7 @@ class Failsafes:
 
     def update(self) -> None:
         """A hundred times a second."""
-        now = self.autopilot.uptime_us
+        now = self.state.clock.uptime_us
         if now % CHECK_PERIOD_US == 0:
             self._check_estimator(now)
             self._check_battery(now)
@@ -100,7 +95,7 @@ class Failsafes:
 
     # --- estimator ---------------------------------------------------------------------------------------------
     def _check_estimator(self, now_us: int) -> None:
-        a = self.autopilot
+        a = self.state
         if a.parameters["FS_EKF_THRESH"] <= 0.0:
             self._ekf_bad_checks = 0
             self._clear_estimator()
@@ -122,38 +117,30 @@ class Failsafes:
         self._ekf_failed = True
         if self._ekf_warned_us is None or now_us - self._ekf_warned_us > EKF_WARN_AGAIN_US:
             self._ekf_warned_us = now_us
-            a.say(CRITICAL, "EKF variance")
+            self.voice.say(Severity.CRITICAL, "EKF variance")
         if a.armed:
             self._act_on_estimator()
 
     def _act_on_estimator(self) -> None:
-        a = self.autopilot
+        a = self.state
         self._ekf_acted = True
         action = int(a.parameters["FS_EKF_ACTION"])
         stays = not a.mode.value.needs_position and action != EKF_LAND_ALWAYS
         if action == EKF_REPORT_ONLY or stays or a.mode is Mode.LAND:
-            a.say(CRITICAL, "EKF Failsafe")
+            self.voice.say(Severity.CRITICAL, "EKF Failsafe")
             return
-        if action != EKF_ALT_HOLD or not a.request_mode(Mode.ALT_HOLD.number):
+        if action != EKF_ALT_HOLD or not self.commander.request_mode(Mode.ALT_HOLD.custom_mode):
             self._land()
-        a.say(CRITICAL, f"EKF Failsafe: changed to {a.mode.name} Mode")
+        self.voice.say(Severity.CRITICAL, f"EKF Failsafe: changed to {a.mode.name} Mode")
 
     def _clear_estimator(self) -> None:
         if self._ekf_failed and self._ekf_acted:
-            self.autopilot.say(CRITICAL, "EKF Failsafe Cleared")
+            self.voice.say(Severity.CRITICAL, "EKF Failsafe Cleared")
         self._ekf_failed = self._ekf_acted = False
 
     # --- battery -----------------------------------------------------------------------------------------------
-    def battery_refusals(self) -> list[str]:
-        """What stands against arming: a voltage that is too low now, and a failsafe that there has been."""
-        volts = float(self.autopilot.core.state[body.BATTERY_VOLTAGE])
-        for name, words in (("LOW", "low"), ("CRT", "critical")):
-            if 0.0 < volts < self.autopilot.parameters[f"BATT_{name}_VOLT"]:
-                return [f"Battery 1 {words} voltage failsafe"]
-        return []
-
     def _check_battery(self, now_us: int) -> None:
-        a, p = self.autopilot, self.autopilot.parameters
+        a, p = self.state, self.state.parameters
         if not a.armed:
             return
         volts = float(a.core.state[body.BATTERY_VOLTAGE])
@@ -163,11 +150,13 @@ class Failsafes:
                 self._below_since_us.pop(level, None)
             elif now_us - self._below_since_us.setdefault(level, now_us) > p["BATT_LOW_TIMER"] * 1e6 > 0:
                 found = level
-        if found <= self.battery:
+        if found <= a.battery:
             return
-        self.battery = found
+        a.battery = found
         used = float(a.core.state[body.CHARGE_USED]) / 3.6
-        a.say(WARNING, f"Battery 1 is {found.name.lower()} {volts:.2f}V used {used:.0f} mAh")
+        self.voice.say(
+            Severity.WARNING, f"Battery 1 is {found.name.lower()} {volts:.2f}V used {used:.0f} mAh"
+        )
         number = int(p[f"BATT_FS_{'LOW' if found is BatteryLevel.LOW else 'CRT'}_ACT"])
         action = ACTIONS.get(number, Action.NONE)
         priority = PRIORITIES.index(action) if action in PRIORITIES else len(PRIORITIES)
@@ -175,89 +164,85 @@ class Failsafes:
             return
         self._priority = priority
         if self._disarms():
-            a.disarm()
-            a.say(WARNING, "Battery Failsafe - Disarming")
-        elif self._is_landing() and int(p["FS_OPTIONS"]) & CONTINUE_IF_LANDING and action:
-            a.say(WARNING, "Battery Failsafe - Continuing Landing")
+            self.commander.disarm()
+            self.voice.say(Severity.WARNING, "Battery Failsafe - Disarming")
+        elif a.is_landing and int(p["FS_OPTIONS"]) & CONTINUE_IF_LANDING and action:
+            self.voice.say(Severity.WARNING, "Battery Failsafe - Continuing Landing")
             self._act(Action.LAND)
         else:
-            a.say(WARNING, "Battery Failsafe")
+            self.voice.say(Severity.WARNING, "Battery Failsafe")
             self._act(action)
 
     # --- ground station ----------------------------------------------------------------------------------------
     def _check_ground_station(self, now_us: int) -> None:
-        a, p = self.autopilot, self.autopilot.parameters
+        a, p = self.state, self.state.parameters
         enabled = int(p["FS_GCS_ENABLE"])
         system = int(p["MAV_GCS_SYSID"])
         heard = [at_us for (sender, _), at_us in a.heartbeats.items() if sender == system]
         if not enabled or not heard:
             return
-        lost = a.time_us - max(heard) > p["FS_GCS_TIMEOUT"] * 1e6
+        lost = a.clock.time_us - max(heard) > p["FS_GCS_TIMEOUT"] * 1e6
         if lost == self._ground_station_lost:
             return
         self._ground_station_lost = lost
         if not lost:
-            a.say(WARNING, "GCS Failsafe Cleared")
+            self.voice.say(Severity.WARNING, "GCS Failsafe Cleared")
             return
         action = GROUND_STATION_ACTIONS.get(enabled, Action.RTL)
         options = int(p["FS_OPTIONS"])
         if not a.armed:
-            a.say(WARNING, "GCS Failsafe")
+            self.voice.say(Severity.WARNING, "GCS Failsafe")
         elif self._disarms():
-            a.disarm()
-            a.say(WARNING, "GCS Failsafe - Disarming")
-        elif self._is_landing() and self._priority <= PRIORITIES.index(Action.LAND):
-            a.say(WARNING, "GCS + Battery Failsafe - Continuing Landing")
+            self.commander.disarm()
+            self.voice.say(Severity.WARNING, "GCS Failsafe - Disarming")
+        elif a.is_landing and self._priority <= PRIORITIES.index(Action.LAND):
+            self.voice.say(Severity.WARNING, "GCS + Battery Failsafe - Continuing Landing")
             self._act(Action.LAND)
-        elif self._is_landing() and options & CONTINUE_IF_LANDING:
-            a.say(WARNING, "GCS Failsafe - Continuing Landing")
+        elif a.is_landing and options & CONTINUE_IF_LANDING:
+            self.voice.say(Severity.WARNING, "GCS Failsafe - Continuing Landing")
             self._act(Action.LAND)
         elif options & CONTINUE_IF_PILOT_FLIES and a.mode in PILOT_MODES:
-            a.say(WARNING, "GCS Failsafe - Continuing Pilot Control")
+            self.voice.say(Severity.WARNING, "GCS Failsafe - Continuing Pilot Control")
         else:
-            a.say(WARNING, "GCS Failsafe")
+            self.voice.say(Severity.WARNING, "GCS Failsafe")
             self._act(action)
 
     # --- acting ------------------------------------------------------------------------------------------------
     def _disarms(self) -> bool:
         """Whether it disarms whatever the action is: on the ground (`should_disarm_on_failsafe`)."""
-        a = self.autopilot
-        no_throttle = a.mode.value.manual_throttle and a.flight.sticks.throttle <= 0.0
+        a = self.state
+        no_throttle = a.mode.value.manual_throttle and a.sticks.throttle <= 0.0
         return a.in_arming_delay or a.landed or no_throttle
-
-    def _is_landing(self) -> bool:
-        a = self.autopilot
-        return a.mode is Mode.LAND or (a.mode is Mode.RTL and a.flight.rtl_stage == "land")
 
     def _land(self) -> None:
         """LAND, after a pause of 4 s in which the pilot can step in."""
-        a = self.autopilot
-        a.request_mode(Mode.LAND.number)
-        a.flight.pause_landing()
+        self.commander.request_mode(Mode.LAND.custom_mode)
+        self.flight_modes.pause_landing()
 
     def _act(self, action: Action) -> None:
         """As `Copter::do_failsafe_action`; the stub keeps no path to go back on and has no mission."""
-        a = self.autopilot
         if action is Action.NONE:
             return
         if action is Action.TERMINATE:
-            a.disarm()
+            self.commander.disarm()
             return
         wanted: Mode | None = Mode.RTL
         if action in (Action.SMART_RTL, Action.SMART_RTL_OR_LAND):
-            a.say(WARNING, "Mode change to SMARTRTL failed: init failed")
+            self.voice.say(Severity.WARNING, "Mode change to SMARTRTL failed: init failed")
             instead = "Trying RTL" if action is Action.SMART_RTL else "Using Land"
-            a.say(WARNING, f"SmartRTL Unavailable, {instead} Mode")
+            self.voice.say(Severity.WARNING, f"SmartRTL Unavailable, {instead} Mode")
             wanted = Mode.RTL if action is Action.SMART_RTL else None
         elif action is Action.LANDING_SEQUENCE:
-            a.say(WARNING, "Mode change to AUTO RTL failed: No return path or landing sequence found")
-            a.say(WARNING, "Trying RTL Mode")
+            self.voice.say(
+                Severity.WARNING, "Mode change to AUTO RTL failed: No return path or landing sequence found"
+            )
+            self.voice.say(Severity.WARNING, "Trying RTL Mode")
         elif action is Action.BRAKE:
             wanted = Mode.BRAKE
         elif action is Action.LAND:
             wanted = None
-        if wanted is not None and a.request_mode(wanted.number):
+        if wanted is not None and self.commander.request_mode(wanted.custom_mode):
             return
         if action is Action.BRAKE:
-            a.say(WARNING, "Trying Land Mode")
+            self.voice.say(Severity.WARNING, "Trying Land Mode")
         self._land()

@@ -9,18 +9,16 @@ from __future__ import annotations
 
 import math
 from enum import Enum
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sitl_stub.firmware.ardupilot import layout as at
 from sitl_stub.firmware.ardupilot.modes import Mode
+from sitl_stub.firmware.ardupilot.setpoints import Setpoints
 from sitl_stub.firmware.ardupilot.shaping import from_euler
+from sitl_stub.firmware.ardupilot.state import ArduPilotState
 from sitl_stub.firmware.common.vehicle_core import euler_of
 from sitl_stub.mavlink.codec import Received
-
-if TYPE_CHECKING:
-    from sitl_stub.firmware.ardupilot.autopilot import ArduPilot
 
 IGNORE_RATES = 0b111
 IGNORE_THROTTLE = 64
@@ -63,8 +61,9 @@ class Target(Enum):
 class Guided:
     """Targets of one vehicle in GUIDED."""
 
-    def __init__(self, autopilot: ArduPilot) -> None:
-        self.autopilot = autopilot
+    def __init__(self, state: ArduPilotState, setpoints: Setpoints) -> None:
+        self.state = state
+        self.setpoints = setpoints
         self.target = Target.VELOCITY
         self.last_us = 0
         self.climb_rate_m_s = 0.0
@@ -94,10 +93,10 @@ class Guided:
         if badly_formed or not all(math.isfinite(value) for value in (*rates, thrust)):
             self.brake()
             return
-        p = self.autopilot.parameters
+        p = self.state.parameters
         if self.target is not Target.ANGLE:
             self.target = Target.ANGLE
-            self.autopilot.flight.limit_vertical()
+            self.setpoints.limit_vertical()
         if int(p["GUID_OPTIONS"]) & THRUST_AS_THRUST:
             self.use_thrust = True
             self.thrust = min(max(thrust, -1.0), 1.0)
@@ -113,7 +112,7 @@ class Guided:
         if quaternion is not None:
             a[at.QUATERNION : at.QUATERNION + 4] = quaternion
         a[at.RATES : at.RATES + 3] = rates
-        self.last_us = self.autopilot.time_us
+        self.last_us = self.state.clock.time_us
         self._put_attitude()
 
     def take_position(self, message: Received) -> None:
@@ -150,7 +149,7 @@ class Guided:
         if target is None or not known or not sane or (mask & IS_FORCE and has_acceleration):
             self.brake()
             return
-        core = self.autopilot.core
+        core = self.state.core
         turned = frame in (BODY_NED, BODY_OFFSET_NED)
         if turned:
             vectors = [self._turned(vector, core.yaw) for vector in vectors]
@@ -173,7 +172,7 @@ class Guided:
 
     def turn_to(self, heading: float) -> None:
         """CONDITION_YAW."""
-        s = self.autopilot.core.setpoint
+        s = self.state.core.setpoint
         self._heading_along_path = False
         s[at.HEADING_KIND] = at.HEADING_ANGLE
         s[at.HEADING] = heading
@@ -188,9 +187,9 @@ class Guided:
         heading: float | None,
         heading_rate: float | None,
     ) -> None:
-        flight, s = self.autopilot.flight, self.autopilot.core.setpoint
+        s = self.state.core.setpoint
         if self.target is not target:
-            flight.start_position_control()
+            self.setpoints.start_position_control()
             self.target = target
         kind = {
             Target.POSITION: at.KIND_POSITION,
@@ -210,41 +209,41 @@ class Guided:
         elif heading_rate is not None:
             s[at.HEADING_KIND] = at.HEADING_RATE_ONLY
             s[at.HEADING_RATE] = heading_rate
-        self.last_us = self.autopilot.time_us
+        self.last_us = self.state.clock.time_us
 
     # --- states ------------------------------------------------------------------------------------------------
     def brake(self) -> None:
         """Begin GUIDED anew: stop and stay. Without a position (GUIDED_NOGPS): level, hold height."""
-        if self.autopilot.mode is Mode.GUIDED_NOGPS:
+        if self.state.mode is Mode.GUIDED_NOGPS:
             self.begin_angle()
             return
-        self.autopilot.flight.start_position_control()
-        s = self.autopilot.core.setpoint
+        self.setpoints.start_position_control()
+        s = self.state.core.setpoint
         self.target = Target.VELOCITY
         s[at.NE_KIND] = s[at.UP_KIND] = at.KIND_VELOCITY
         s[at.VELOCITY : at.VELOCITY + 3] = 0.0
         s[at.ACCELERATION : at.ACCELERATION + 3] = 0.0
         self._heading_along_path = True
-        self.last_us = self.autopilot.time_us
+        self.last_us = self.state.clock.time_us
 
     def begin_angle(self) -> None:
         """Level, present heading, hold height: how GUIDED_NOGPS begins."""
         self.target = Target.ANGLE
         self.use_thrust = False
         self.thrust = self.climb_rate_m_s = 0.0
-        self.autopilot.flight.limit_vertical()
+        self.setpoints.limit_vertical()
         self._level()
-        self.last_us = self.autopilot.time_us
+        self.last_us = self.state.clock.time_us
 
     def take_off(self, height_m: float) -> None:
         """MAV_CMD_NAV_TAKEOFF to a height above the estimator's origin."""
         self.target = Target.TAKE_OFF
         self.take_off_height_m = height_m
-        self.autopilot.flight.start_take_off()
+        self.setpoints.start_take_off()
 
     def _level(self) -> None:
         a = self._attitude
-        yaw = euler_of(self.autopilot.core.target_quaternion)[2]
+        yaw = euler_of(self.state.core.target_quaternion)[2]
         a[at.LATERAL] = at.LATERAL_QUATERNION
         a[at.QUATERNION : at.QUATERNION + 4] = from_euler(0.0, 0.0, yaw)
         a[at.RATES : at.RATES + 3] = 0.0
@@ -252,20 +251,20 @@ class Guided:
     @property
     def timed_out(self) -> bool:
         """Whether the last target is older than GUID_TIMEOUT."""
-        timeout = max(self.autopilot.parameters["GUID_TIMEOUT"], 0.1)
-        return self.autopilot.time_us - self.last_us > timeout * 1e6
+        timeout = max(self.state.parameters["GUID_TIMEOUT"], 0.1)
+        return self.state.clock.time_us - self.last_us > timeout * 1e6
 
     def _put_attitude(self) -> None:
         """Give the attitude target to the loops at once, if they are following attitude targets already."""
-        a, s = self._attitude, self.autopilot.core.setpoint
-        if not self.autopilot.flight.follows_attitude:
+        a, s = self._attitude, self.state.core.setpoint
+        if not self.setpoints.follows_attitude:
             return
         s[at.LATERAL] = a[at.LATERAL]
         s[at.QUATERNION : at.RATES + 3] = a[at.QUATERNION : at.RATES + 3]
         if self.use_thrust:
             s[at.VERTICAL] = at.VERTICAL_THRUST
             s[at.THRUST] = self.thrust
-            s[at.THROTTLE_CUTOFF_HZ] = self.autopilot.parameters["PILOT_THR_FILT"]
+            s[at.THROTTLE_CUTOFF_HZ] = self.state.parameters["PILOT_THR_FILT"]
         else:
             s[at.VERTICAL] = at.VERTICAL_POSITION
             s[at.UP_KIND] = at.KIND_VELOCITY
@@ -274,38 +273,37 @@ class Guided:
 
     def run(self) -> None:
         """A hundred times a second."""
-        flight = self.autopilot.flight
         if self.target is Target.TAKE_OFF:
-            flight.run_take_off(self.take_off_height_m)
+            self.setpoints.run_take_off(self.take_off_height_m)
         elif self.target is Target.ANGLE:
             self._run_angle()
         else:
             self._run_position()
 
     def _run_angle(self) -> None:
-        a = self.autopilot
+        a = self.state
         if self.timed_out and (self.use_thrust or self.climb_rate_m_s or a.core.setpoint[at.LATERAL]):
             self._level()
             self.use_thrust = False
             self.thrust = self.climb_rate_m_s = 0.0
         rising = (self.thrust if self.use_thrust else self.climb_rate_m_s) > 0.0
         if rising and a.armed:
-            a.auto_armed = True
+            self.setpoints.ask_to_fly()
         if not a.armed or not a.auto_armed or (a.landed and not rising):
-            a.flight.rest_on_ground()
+            self.setpoints.rest_on_ground()
         elif a.landed:
-            a.flight.spool_up_on_ground()
+            self.setpoints.spool_up_on_ground()
         else:
-            if not a.flight.follows_attitude:
-                a.flight.follow_attitude()
+            if not self.setpoints.follows_attitude:
+                self.setpoints.follow_attitude()
                 self._put_attitude()
             elif self.timed_out:
                 self._put_attitude()
 
     def _run_position(self) -> None:
-        a, s = self.autopilot, self.autopilot.core.setpoint
+        a, s = self.state, self.state.core.setpoint
         if not a.armed or not a.auto_armed or a.landed:
-            a.flight.rest_on_ground()
+            self.setpoints.rest_on_ground()
             return
         if self.timed_out:
             if self.target is Target.ACCELERATION:
@@ -316,5 +314,5 @@ class Guided:
             if s[at.HEADING_KIND] == at.HEADING_RATE_ONLY:
                 s[at.HEADING_RATE] = 0.0
         if self._heading_along_path:
-            a.flight.look_along_path(TURNS_ALONG_ABOVE)
-        a.flight.follow_position()
+            self.setpoints.look_along_path(TURNS_ALONG_ABOVE)
+        self.setpoints.follow_position()

@@ -6,16 +6,13 @@ not from its height. Of truth only the change of velocity is used, for the accel
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sitl_stub.firmware.ardupilot import layout as at
 from sitl_stub.firmware.ardupilot.modes import Mode
+from sitl_stub.firmware.ardupilot.state import ArduPilotState
 from sitl_stub.physics import vehicle as body
-
-if TYPE_CHECKING:
-    from sitl_stub.firmware.ardupilot.autopilot import ArduPilot
 
 LANDED_AFTER_S = 1.0
 MAYBE_AFTER_S = 0.2
@@ -28,16 +25,14 @@ ACCELERATION_CUTOFF_HZ = 1.0
 LOGIC_DT_S = 0.01
 CRASHED_AFTER_S = 2.0
 CRASHED_SLOWER_M_S = 10.0
-EMERGENCY = 0
-"""MAV_SEVERITY."""
 MIX_MINIMUM, MIX_MANUAL, MIX_MAXIMUM = 0.0, 1.0, 2.0
 
 
-class GroundSense:
-    """Land detector, how far attitude goes before thrust (ATC_THR_MIX_...), which it depends on, and crash check."""
+class LandDetector:
+    """Land detector, the writer of `landed`; what depends on it: attitude against thrust (ATC_THR_MIX_...), crash check."""
 
-    def __init__(self, autopilot: ArduPilot) -> None:
-        self.autopilot = autopilot
+    def __init__(self, state: ArduPilotState) -> None:
+        self.state = state
         self.quiet_s = 0.0
         self._crashed_s = 0.0
         self._acceleration = np.zeros(3)
@@ -47,11 +42,19 @@ class GroundSense:
     @property
     def maybe(self) -> bool:
         """Whether it looks like the ground since 0.2 s."""
-        return self.autopilot.landed or self.quiet_s >= MAYBE_AFTER_S
+        return self.state.landed or self.quiet_s >= MAYBE_AFTER_S
 
-    def update(self) -> None:
-        """A hundred times a second."""
-        a = self.autopilot
+    def lift_off(self) -> None:
+        """The motors have their full range, or the vehicle moves: the ground is left."""
+        self.state.landed = False
+
+    def disarmed(self) -> None:
+        """Who is disarmed is taken to lie on the ground."""
+        self.state.landed = True
+
+    def update(self) -> str | None:
+        """A hundred times a second; what tells of a crash after which it has to be disarmed, or None."""
+        a = self.state
         core = a.core
         m, s = core.memory, core.setpoint
         _, x, y, _ = core.quaternion.tolist()
@@ -68,7 +71,7 @@ class GroundSense:
             a.landed = True
             self.quiet_s = self._crashed_s = 0.0
             s[at.THROTTLE_MIX] = MIX_MINIMUM
-            return
+            return None
         quiet = (
             m[at.LIMIT_LOWER] > 0.0
             and float(m[at.RPY_MIX]) < 1.25 * core.gains[at.MIX_MIN]
@@ -86,11 +89,11 @@ class GroundSense:
         else:
             self.quiet_s = 0.0
         s[at.THROTTLE_MIX] = self._mix(leaning, off, acceleration)
-        self._check_crash(math.acos(min(max(1.0 - 2.0 * (x * x + y * y), -1.0), 1.0)), off, acceleration)
+        return self._crash(math.acos(min(max(1.0 - 2.0 * (x * x + y * y), -1.0), 1.0)), off, acceleration)
 
-    def _check_crash(self, tilt: float, off: bool, acceleration: float) -> None:
+    def _crash(self, tilt: float, off: bool, acceleration: float) -> str | None:
         """FS_CRASH_CHECK: who lies on the side and cannot help it is disarmed."""
-        a = self.autopilot
+        a = self.state
         if (
             a.landed
             or a.parameters["FS_CRASH_CHECK"] == 0
@@ -101,23 +104,22 @@ class GroundSense:
             or (a.position_known and float(np.linalg.norm(a.core.velocity_ned)) >= CRASHED_SLOWER_M_S)
         ):
             self._crashed_s = 0.0
-            return
+            return None
         self._crashed_s += LOGIC_DT_S
-        if self._crashed_s >= CRASHED_AFTER_S:
-            error = math.degrees(float(a.core.memory[at.THRUST_ERROR_ANGLE]))
-            limit = math.degrees(LARGE_ERROR)
-            figures = f"AngErr={error:.0f}>{limit:.0f}, Accel={acceleration:.1f}<{MOVING_M_S2:.1f}"
-            a.say(EMERGENCY, f"Crash: Disarming: {figures}")
-            a.disarm()
+        if self._crashed_s < CRASHED_AFTER_S:
+            return None
+        error = math.degrees(float(a.core.memory[at.THRUST_ERROR_ANGLE]))
+        limit = math.degrees(LARGE_ERROR)
+        figures = f"AngErr={error:.0f}>{limit:.0f}, Accel={acceleration:.1f}<{MOVING_M_S2:.1f}"
+        return f"Crash: Disarming: {figures}"
 
     def _mix(self, leaning: bool, off: bool, acceleration: float) -> float:
-        a = self.autopilot
+        a = self.state
         if a.landed:
             return MIX_MINIMUM
         if a.mode.value.manual_throttle:
-            return MIX_MANUAL if a.flight.sticks.throttle > 0.0 else MIX_MINIMUM
-        landing = a.mode is Mode.LAND or (a.mode is Mode.RTL and a.flight.rtl_stage == "land")
+            return MIX_MANUAL if a.sticks.throttle > 0.0 else MIX_MINIMUM
         descending = float(a.core.memory[at.DESIRED_VELOCITY + 2]) < 0.0
-        if (leaning and not landing) or off or acceleration > MOVING_M_S2 or not descending:
+        if (leaning and not a.is_landing) or off or acceleration > MOVING_M_S2 or not descending:
             return MIX_MAXIMUM
         return MIX_MINIMUM

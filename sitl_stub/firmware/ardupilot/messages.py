@@ -8,36 +8,29 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
 
 from sitl_stub.firmware.ardupilot import layout as at
-from sitl_stub.firmware.ardupilot.guided import Target
+from sitl_stub.firmware.ardupilot.guided import Guided, Target
 from sitl_stub.firmware.ardupilot.modes import Mode
 from sitl_stub.firmware.ardupilot.motion_messages import ArduPilotMotion
-from sitl_stub.firmware.common.autopilot import SIMULATED_EPOCH_US
-from sitl_stub.firmware.common.globe import LocalOrigin
-from sitl_stub.firmware.common.streams import Builder
+from sitl_stub.firmware.ardupilot.state import ArduPilotState
+from sitl_stub.firmware.common.clock import SIMULATED_EPOCH_US
+from sitl_stub.firmware.common.mavlink_ids import LandedState, ModeFlag, SystemStatus
+from sitl_stub.firmware.common.streams import Builder, StreamRow
+from sitl_stub.firmware.common.wire_values import NAN, Values, int16
 from sitl_stub.mavlink.codec import LAYOUTS
 from sitl_stub.mavlink.links import Link
 from sitl_stub.physics import vehicle as body
 
-if TYPE_CHECKING:
-    from sitl_stub.firmware.ardupilot.autopilot import ArduPilot
-
-NAN = float("nan")
-Values = tuple[Any, ...]
-
-ORIGIN = LocalOrigin(-35.3632610, 149.1652299, 584.09)
 CAPABILITIES = 64495
 FLIGHT_SW_VERSION = 67567616  # 4.7.0 dev
 GIT_HASH = b"2598e9d4"
 BOARD_UID = b"3d1219c7c4c54040"
 QUADROTOR, ARDUPILOTMEGA = 2, 3
-STABILIZE_FLAG, GUIDED_FLAG, MANUAL_FLAG, CUSTOM_FLAG, ARMED_FLAG = 16, 8, 64, 1, 128
-STATE_STANDBY, STATE_ACTIVE = 3, 4
+"""MAV_TYPE, MAV_AUTOPILOT."""
+ALWAYS_ON = ModeFlag.STABILIZE_ENABLED | ModeFlag.MANUAL_INPUT_ENABLED | ModeFlag.CUSTOM_MODE_ENABLED
 MULTICOPTER = 3
-ON_GROUND, IN_AIR, TAKING_OFF, LANDING = 1, 2, 3, 4
 # SYS_STATUS bits of the capture
 PRESENT, ENABLED, HEALTHY = 0x5371FC0F, 0x52419C0F, 0x47519C0F
 GPS_BIT, HEIGHT_CONTROL_BIT, PLACE_CONTROL_BIT = 0x20, 0x2000, 0x4000
@@ -94,26 +87,18 @@ SILENT = (
 """Messages ArduCopter knows and the stub has nothing to say in: an interval is granted, none is sent."""
 
 
-def _int16(value: float) -> int:
-    return max(-32768, min(32767, round(value)))
-
-
 class ArduPilotMessages:
     """Builders of every message of one vehicle."""
 
-    def __init__(self, autopilot: ArduPilot) -> None:
-        self.autopilot = autopilot
-        self.origin = ORIGIN
-        self.motion = ArduPilotMotion(self)
+    def __init__(self, state: ArduPilotState, guided: Guided) -> None:
+        self.state = state
+        self.guided = guided
+        self.motion = ArduPilotMotion(state, guided)
 
-    def altitude_of(self, down_m: float) -> float:
-        """Altitude above sea level of local z."""
-        return self.origin.altitude_m - down_m
-
-    def definitions(self) -> Sequence[tuple[str, Builder, Mapping[str, float]]]:
+    def definitions(self) -> Sequence[StreamRow]:
         """Name, builder, default rates: HEARTBEAT only. Order on the wire within one instant."""
         everywhere = dict.fromkeys(("onboard", "gcs", "tcp"), 1.0)
-        table: list[tuple[str, Builder, Mapping[str, float]]] = [("HEARTBEAT", self.heartbeat, everywhere)]
+        table: list[StreamRow] = [("HEARTBEAT", self.heartbeat, everywhere)]
         asked: list[tuple[str, Builder]] = [
             ("SYS_STATUS", self.sys_status),
             ("EXTENDED_SYS_STATE", self.extended_sys_state),
@@ -157,29 +142,29 @@ class ArduPilotMessages:
     @property
     def place_controlled(self) -> bool:
         """Whether the horizontal position controller runs."""
-        a = self.autopilot
-        on_ground = a.flight.ground_control and a.mode is not Mode.RTL
+        a = self.state
+        on_ground = a.ground_control and a.mode is not Mode.RTL
         return on_ground or bool(a.core.setpoint[at.LATERAL] == at.LATERAL_POSITION)
 
     @property
     def height_controlled(self) -> bool:
         """Whether the height controller runs."""
-        a = self.autopilot
-        on_ground = a.flight.ground_control and a.mode is not Mode.RTL
+        a = self.state
+        on_ground = a.ground_control and a.mode is not Mode.RTL
         return on_ground or bool(a.core.setpoint[at.VERTICAL] == at.VERTICAL_POSITION)
 
     def heartbeat(self, link: Link) -> Values:
         """HEARTBEAT: the guided bit tells that the position controller runs, the status that it flies."""
-        a = self.autopilot
-        base = STABILIZE_FLAG | MANUAL_FLAG | CUSTOM_FLAG
-        base |= GUIDED_FLAG if self.place_controlled else 0
-        base |= ARMED_FLAG if a.armed else 0
-        status = STATE_STANDBY if a.landed else STATE_ACTIVE
-        return (a.mode.number, QUADROTOR, ARDUPILOTMEGA, base, status, 3)
+        a = self.state
+        base = ALWAYS_ON
+        base |= ModeFlag.GUIDED_ENABLED if self.place_controlled else 0
+        base |= ModeFlag.SAFETY_ARMED if a.armed else 0
+        status = SystemStatus.STANDBY if a.landed else SystemStatus.ACTIVE
+        return (a.mode.custom_mode, QUADROTOR, ARDUPILOTMEGA, base, status, 3)
 
     def sys_status(self, link: Link) -> Values:
         """SYS_STATUS: sensors, the pre-arm bit (28) for the present mode, battery."""
-        a = self.autopilot
+        a = self.state
         present, enabled, health = PRESENT, ENABLED, HEALTHY
         if a.gps_found:
             present, enabled = present | GPS_BIT, enabled | GPS_BIT
@@ -187,7 +172,7 @@ class ArduPilotMessages:
         for bit, on in (
             (HEIGHT_CONTROL_BIT, self.height_controlled),
             (PLACE_CONTROL_BIT, self.place_controlled),
-            (AHRS_BIT, a.ahrs_ready),
+            (AHRS_BIT, a.boot.ahrs_ready),
         ):
             if on:
                 enabled |= bit
@@ -196,9 +181,9 @@ class ArduPilotMessages:
             enabled |= LOGGING_BIT
         if a.prearm_good:
             health |= PREARM_BIT
-        state = a.core.state
-        volts = round(float(state[body.BATTERY_VOLTAGE]) * 1000)
-        current = _int16(100.0 * self._current())
+        truth = a.core.state
+        volts = round(float(truth[body.BATTERY_VOLTAGE]) * 1000)
+        current = int16(100.0 * self._current())
         return (
             present,
             enabled,
@@ -219,21 +204,19 @@ class ArduPilotMessages:
         )
 
     def _current(self) -> float:
-        return float(self.autopilot.core.state[body.BATTERY_CURRENT]) if self.autopilot.armed else 0.0
+        return float(self.state.core.state[body.BATTERY_CURRENT]) if self.state.armed else 0.0
 
     def _battery_percent(self) -> int:
-        core = self.autopilot.core
-        used = float(core.state[body.CHARGE_USED] / core.parameters_packed[body.BATTERY_CAPACITY])
-        return max(0, min(100, round(100.0 * (1.0 - used))))
+        return max(0, min(100, round(100.0 * self.state.charge_left)))
 
     def battery_status(self, link: Link) -> Values:
         """BATTERY_STATUS: one pack, its voltage in the first cell's field."""
-        state = self.autopilot.core.state
-        voltages = (round(float(state[body.BATTERY_VOLTAGE]) * 1000),) + (65535,) * 9
-        used_mah = round(float(state[body.CHARGE_USED]) / 3.6)
-        current = _int16(100.0 * self._current())
+        truth = self.state.core.state
+        voltages = (round(float(truth[body.BATTERY_VOLTAGE]) * 1000),) + (65535,) * 9
+        used_mah = round(float(truth[body.CHARGE_USED]) / 3.6)
+        current = int16(100.0 * self._current())
         head = (used_mah, 0, 32767, *voltages, current, 0, 0, 0, self._battery_percent())
-        return (*head, 0, int(self.autopilot.failsafes.battery), 0, 0, 0, 0, 0, 0)
+        return (*head, 0, int(self.state.battery), 0, 0, 0, 0, 0, 0)
 
     def power_status(self, link: Link) -> Values:
         """POWER_STATUS of a simulated board."""
@@ -245,35 +228,35 @@ class ArduPilotMessages:
 
     def extended_sys_state(self, link: Link) -> Values:
         """EXTENDED_SYS_STATE: on the ground, in the air, taking off, landing."""
-        a = self.autopilot
+        a = self.state
         if a.landed:
-            landed = ON_GROUND
-        elif a.mode is Mode.LAND or (a.mode is Mode.RTL and a.flight.rtl_stage == "land"):
-            landed = LANDING
-        elif a.mode is Mode.GUIDED and a.guided.target is Target.TAKE_OFF and not a.take_off_done:
-            landed = TAKING_OFF
+            landed = LandedState.ON_GROUND
+        elif a.is_landing:
+            landed = LandedState.LANDING
+        elif a.mode is Mode.GUIDED and self.guided.target is Target.TAKE_OFF:
+            landed = LandedState.TAKEOFF
         else:
-            landed = IN_AIR
+            landed = LandedState.IN_AIR
         return (MULTICOPTER, landed)
 
     def system_time(self, link: Link) -> Values:
         """SYSTEM_TIME: no Unix time before the receiver has one."""
-        now = self.autopilot.clock_us
-        return (SIMULATED_EPOCH_US + now if self.autopilot.gps_found else 0, now // 1000)
+        now = self.state.clock.stamp_us
+        return (SIMULATED_EPOCH_US + now if self.state.gps_found else 0, now // 1000)
 
     def ekf_status_report(self, link: Link) -> Values:
         """EKF_STATUS_REPORT: flags, and test ratios that are all well."""
-        a = self.autopilot
+        a = self.state
         flags = EKF_GOOD if a.position_known else EKF_NO_POSITION
-        if not a.ekf_started:
+        if not a.boot.ekf_started:
             return (0.0, 0.0, 0.0, 0.0, 0.0, EKF_UNINITIALISED, 0.0)
         return (0.02, 0.01, 0.01, 0.01, 0.0, flags, 0.0)
 
     def vibration(self, link: Link) -> Values:
         """VIBRATION: the accelerometer noise of the preset."""
-        a = self.autopilot
+        a = self.state
         sd = a.core.estimator.preset.accelerometer_sd_thrusting if a.armed else (0.0, 0.0, 0.0)
-        return (a.clock_us, *(float(value) for value in sd), 0, 0, 0)
+        return (a.clock.stamp_us, *(float(value) for value in sd), 0, 0, 0)
 
     def mission_current(self, link: Link) -> Values:
         """MISSION_CURRENT: there is no mission."""
@@ -281,82 +264,92 @@ class ArduPilotMessages:
 
     def nav_controller_output(self, link: Link) -> Values:
         """NAV_CONTROLLER_OUTPUT: tilt asked for, distance from home."""
-        a = self.autopilot
+        a = self.state
         w, x, y, z = a.core.target_quaternion.tolist()
         roll = math.degrees(math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)))
         pitch = math.degrees(math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0)))
-        heading = _int16(math.degrees(a.core.yaw))
+        heading = int16(math.degrees(a.core.yaw))
         return (roll, pitch, 0.0, 0.0, 0.0, heading, 0, min(round(a.distance_from_home_m), 65535))
 
     # --- place -------------------------------------------------------------------------------------------------
     def home_position(self, link: Link) -> Values | None:
         """HOME_POSITION, once known; its attitude is not given."""
-        a = self.autopilot
+        a = self.state
         if not a.home_known:
             return None
         x, y, z = (float(value) for value in a.home_ned)
-        latitude, longitude = self.origin.globe_e7(x, y)
-        altitude_mm = round(self.altitude_of(z) * 1000)
-        return (latitude, longitude, altitude_mm, x, y, z, NAN, NAN, NAN, NAN, 0.0, 0.0, 0.0, a.clock_us)
+        latitude, longitude = self.state.origin.globe_e7(x, y)
+        altitude_mm = round(self.state.origin.altitude_of(z) * 1000)
+        return (
+            latitude,
+            longitude,
+            altitude_mm,
+            x,
+            y,
+            z,
+            NAN,
+            NAN,
+            NAN,
+            NAN,
+            0.0,
+            0.0,
+            0.0,
+            a.clock.stamp_us,
+        )
 
     def gps_global_origin(self, link: Link) -> Values | None:
         """GPS_GLOBAL_ORIGIN: where local (0, 0, 0) is, once known."""
-        o = self.origin
-        if not self.autopilot.home_known:
+        o = self.state.origin
+        if not self.state.home_known:
             return None
         place = (round(o.latitude_deg * 1e7), round(o.longitude_deg * 1e7), round(o.altitude_m * 1000))
-        return (*place, self.autopilot.clock_us)
+        return (*place, self.state.clock.stamp_us)
 
     def local_position_ned(self, link: Link) -> Values | None:
         """LOCAL_POSITION_NED, once and as long as there is a position."""
-        core = self.autopilot.core
-        if not self.autopilot.position_known:
+        core = self.state.core
+        if not self.state.position_known:
             return None
-        return (self.autopilot.clock_us // 1000, *core.position_ned.tolist(), *core.velocity_ned.tolist())
+        return (self.state.clock.stamp_ms, *core.position_ned.tolist(), *core.velocity_ned.tolist())
 
     def global_position_int(self, link: Link) -> Values:
         """GLOBAL_POSITION_INT; zeros before there is a home."""
-        a = self.autopilot
+        a = self.state
         heading = round(math.degrees(a.core.yaw) % 360.0 * 100) % 36000
         if not a.home_known:
-            return (a.clock_us // 1000, 0, 0, 0, 0, 0, 0, 0, heading)
+            return (a.clock.stamp_ms, 0, 0, 0, 0, 0, 0, 0, heading)
         x, y, z = a.core.position_ned.tolist()
-        vx, vy, vz = (_int16(100.0 * value) for value in a.core.velocity_ned.tolist())
-        latitude, longitude = self.origin.globe_e7(x, y)
+        vx, vy, vz = (int16(100.0 * value) for value in a.core.velocity_ned.tolist())
+        latitude, longitude = self.state.origin.globe_e7(x, y)
         above_home = round((float(a.home_ned[2]) - z) * 1000)
-        altitude = round(self.altitude_of(z) * 1000)
-        return (a.clock_us // 1000, latitude, longitude, altitude, above_home, vx, vy, vz, heading)
+        altitude = round(self.state.origin.altitude_of(z) * 1000)
+        return (a.clock.stamp_ms, latitude, longitude, altitude, above_home, vx, vy, vz, heading)
 
     def gps_raw_int(self, link: Link) -> Values:
         """GPS_RAW_INT: a simulated receiver, found some seconds after boot."""
-        a = self.autopilot
+        a = self.state
         if not a.gps_found:
             return (0, 0, 0, 0, 65535, 65535, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)
         x, y, z = a.core.position_ned.tolist()
         vx, vy, _ = a.core.velocity_ned.tolist()
-        latitude, longitude = self.origin.globe_e7(x, y)
-        altitude = round(self.altitude_of(z) * 1000)
+        latitude, longitude = self.state.origin.globe_e7(x, y)
+        altitude = round(self.state.origin.altitude_of(z) * 1000)
         course = round(math.degrees(math.atan2(vy, vx)) % 360.0 * 100) % 36000
         speed = min(round(100.0 * math.hypot(vx, vy)), 65534)
         fix, satellites = (6, 10) if a.core.position_aided else (1, 0)
-        head = (a.clock_us, latitude, longitude, altitude, 121, 200, speed, course, fix, satellites)
+        head = (a.clock.stamp_us, latitude, longitude, altitude, 121, 200, speed, course, fix, satellites)
         return (*head, altitude, 300, 300, 40, 0, 0)
 
     def scaled_pressure(self, link: Link) -> Values:
         """SCALED_PRESSURE of the standard atmosphere."""
-        return (self.autopilot.clock_us // 1000, self.pressure_hpa(), 0.0, 3500, 0)
-
-    def pressure_hpa(self) -> float:
-        """Of the standard atmosphere at the estimated height."""
-        altitude = self.altitude_of(float(self.autopilot.core.position_ned[2]))
-        return 1013.25 * float(max(1.0 - 2.25577e-5 * altitude, 0.0) ** 5.25588)
+        return (self.state.clock.stamp_ms, self.state.pressure_hpa, 0.0, 3500, 0)
 
     def vfr_hud(self, link: Link) -> Values:
         """VFR_HUD."""
-        a = self.autopilot
+        a = self.state
         vx, vy, vz = a.core.velocity_ned.tolist()
         throttle = round(100.0 * float(a.core.memory[at.THROTTLE_OUT])) if a.armed else 0
-        altitude = self.altitude_of(float(a.core.position_ned[2])) if a.home_known else 0.0
+        altitude = self.state.origin.altitude_of(float(a.core.position_ned[2])) if a.home_known else 0.0
         speed = math.hypot(vx, vy)
         return (speed, speed, altitude, -vz, int(math.degrees(a.core.yaw) % 360.0), throttle)
 

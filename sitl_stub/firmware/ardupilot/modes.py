@@ -49,7 +49,7 @@ class Mode(Enum):
     """Attitude targets over MAVLink without a position."""
 
     @property
-    def number(self) -> int:
+    def custom_mode(self) -> int:
         """HEARTBEAT.custom_mode."""
         return self.value.number
 
@@ -70,4 +70,4 @@ def mode_named(name: str) -> Mode | None:
     return BY_WORD.get(name.lower()) or Mode.__members__.get(name.upper())
 
 
-BY_NUMBER: dict[int, Mode] = {mode.number: mode for mode in Mode}
+BY_NUMBER: dict[int, Mode] = {mode.custom_mode: mode for mode in Mode}

@@ -6,10 +6,9 @@ last time, looked at once a second, and on every landing. What has changed is se
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
-if TYPE_CHECKING:
-    from sitl_stub.firmware.ardupilot.autopilot import ArduPilot
+from sitl_stub.firmware.ardupilot.state import ArduPilotState
 
 SAVE_AFTER_US = 30_000_000
 LOOK_PHASE_US = 440_000
@@ -19,18 +18,20 @@ LOOK_PHASE_US = 440_000
 class Statistics:
     """Run time and flight time of one vehicle."""
 
-    def __init__(self, autopilot: ArduPilot) -> None:
-        self.autopilot = autopilot
+    def __init__(self, state: ArduPilotState, announce: Callable[[str], None]) -> None:
+        """`announce` tells everybody the value of a parameter."""
+        self.state = state
+        self._announce = announce
         self._saved_us = 0
-        self._run_before_s = int(autopilot.parameters["STAT_RUNTIME"])
-        self._flown_before_s = int(autopilot.parameters["STAT_FLTTIME"])
+        self._run_before_s = int(state.parameters["STAT_RUNTIME"])
+        self._flown_before_s = int(state.parameters["STAT_FLTTIME"])
         self._flying_since_us: int | None = None
         self._flown_s = 0
 
     def update(self) -> None:
         """A hundred times a second."""
-        a = self.autopilot
-        now = a.uptime_us
+        a = self.state
+        now = a.clock.uptime_us
         if a.landed and self._flying_since_us is not None:
             self._save(now)
             self._flying_since_us = None
@@ -49,7 +50,7 @@ class Statistics:
         self._saved_us = now_us
 
     def _keep(self, name: str, seconds: int) -> None:
-        a = self.autopilot
+        a = self.state
         if int(a.parameters[name]) != seconds:
             a.parameters.set(name, float(seconds))
-            a.protocol.announce_parameter(name)
+            self._announce(name)

@@ -6,13 +6,11 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import TYPE_CHECKING
 
+from sitl_stub.firmware.common.clock import Clock
+from sitl_stub.firmware.common.streams import StreamTable
 from sitl_stub.mavlink.codec import Received
 from sitl_stub.mavlink.links import Link
-
-if TYPE_CHECKING:
-    from sitl_stub.firmware.common.autopilot import Autopilot
 
 LONGEST_INTERVAL_US = 2.0**31 - 1.0
 """What MESSAGE_INTERVAL can tell."""
@@ -57,10 +55,17 @@ MessageHandler = Callable[[Link, Received], None]
 
 
 class CommandProtocol:
-    """Runs the handlers of one autopilot's table `commands`, and acknowledges."""
+    """Runs the handlers of one autopilot's table `handlers`, and acknowledges."""
 
-    def __init__(self, autopilot: Autopilot) -> None:
-        self.autopilot = autopilot
+    def __init__(
+        self, clock: Clock, streams: StreamTable, unknown_interval: Result, unknown_request: Result
+    ) -> None:
+        """`unknown_...` answers SET_MESSAGE_INTERVAL, REQUEST_MESSAGE for a message that there is not."""
+        self.handlers: dict[int, CommandHandler] = {}
+        self._clock = clock
+        self._streams = streams
+        self._unknown_interval = unknown_interval
+        self._unknown_request = unknown_request
 
     def acknowledge(self, link: Link, command: Command, result: Result) -> None:
         """Send COMMAND_ACK to whoever sent the command."""
@@ -73,7 +78,7 @@ class CommandProtocol:
         )
 
     def _run(self, link: Link, command: Command) -> None:
-        handler = self.autopilot.commands.get(command.number)
+        handler = self.handlers.get(command.number)
         result = Result.UNSUPPORTED if handler is None else handler(link, command)
         if result is not None:
             self.acknowledge(link, command, result)
@@ -101,9 +106,9 @@ class CommandProtocol:
         if (
             message_id is None
             or not math.isfinite(interval)
-            or not self.autopilot.streams.set_interval(link, message_id, interval, self.autopilot.time_us)
+            or not self._streams.set_interval(link, message_id, interval, self._clock.time_us)
         ):
-            return self.autopilot.unknown_interval_result
+            return self._unknown_interval
         return Result.ACCEPTED
 
     @staticmethod
@@ -114,7 +119,7 @@ class CommandProtocol:
     def get_message_interval(self, link: Link, command: Command) -> Result | None:
         """GET_MESSAGE_INTERVAL."""
         message_id = self._message_id(command)
-        stream = None if message_id is None else self.autopilot.streams.of(link).streams.get(message_id)
+        stream = None if message_id is None else self._streams.of(link).streams.get(message_id)
         interval = 0
         if stream is not None:
             interval = round(stream.interval_us) if stream.interval_us > 0 else -1
@@ -124,6 +129,6 @@ class CommandProtocol:
     def request_message(self, link: Link, command: Command) -> Result | None:
         """REQUEST_MESSAGE."""
         message_id = self._message_id(command)
-        if message_id is None or not self.autopilot.streams.build(link, message_id):
-            return self.autopilot.unknown_request_result
+        if message_id is None or not self._streams.send_now(link, message_id):
+            return self._unknown_request
         return Result.ACCEPTED

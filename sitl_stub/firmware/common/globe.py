@@ -17,6 +17,10 @@ class LocalOrigin:
     altitude_m: float
     """Above mean sea level."""
 
+    def altitude_of(self, down_m: float) -> float:
+        """Altitude above sea level, m, of local z; and local z of an altitude."""
+        return self.altitude_m - down_m
+
     def globe_e7(self, north_m: float, east_m: float) -> tuple[int, int]:
         """Latitude and longitude in 1e-7 degrees, as MAVLink sends them."""
         latitude = self.latitude_deg + math.degrees(north_m / EARTH_RADIUS_M)

@@ -10,16 +10,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
+from sitl_stub.firmware.common.wire_values import Values
 from sitl_stub.mavlink.codec import LAYOUTS, MessageLayout
 from sitl_stub.mavlink.links import Link
 
 LOOP_PERIOD_US = 10_000
 LEADING = frozenset(("ODOMETRY", "LOCAL_POSITION_NED", "ATTITUDE", "ATTITUDE_QUATERNION"))
 
-Builder = Callable[[Link], tuple[Any, ...] | None]
+Builder = Callable[[Link], Values | None]
 """Values of a message in wire order, or None when there is nothing to say yet."""
+StreamRow = tuple[str, Builder, Mapping[str, float]]
+"""A message the firmware can send: name, builder, default rate by link role."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,16 +86,17 @@ class LinkStreams:
 class StreamTable:
     """The definitions of a firmware and the streams of every link."""
 
-    def __init__(
-        self, definitions: Sequence[tuple[str, Builder, Mapping[str, float]]], control_period_us: int
-    ) -> None:
+    def __init__(self, control_period_us: int) -> None:
         self.definitions: dict[int, StreamDefinition] = {}
-        for name, build, default_hz in definitions:
-            layout = LAYOUTS[name]
-            self.definitions[layout.message_id] = StreamDefinition(layout, build, default_hz)
         self.control_period_us = control_period_us
         self.loop_period_us = LOOP_PERIOD_US
         self.links: dict[int, LinkStreams] = {}
+
+    def define(self, rows: Sequence[StreamRow]) -> None:
+        """Take on what the firmware can send, in the order of sending."""
+        for name, build, default_hz in rows:
+            layout = LAYOUTS[name]
+            self.definitions[layout.message_id] = StreamDefinition(layout, build, default_hz)
 
     def open(self, link: Link, time_us: int) -> LinkStreams:
         """Give a new link its default streams."""
@@ -142,7 +145,7 @@ class StreamTable:
         period = min(float(LOOP_PERIOD_US), shortest)
         self.loop_period_us = max(int(period) // self.control_period_us, 1) * self.control_period_us
 
-    def build(self, link: Link, message_id: int) -> bool:
+    def send_now(self, link: Link, message_id: int) -> bool:
         """Send one message now, asked for or not; False when there is no such message."""
         definition = self.definitions.get(message_id)
         if definition is None:
@@ -151,3 +154,8 @@ class StreamTable:
         if values is not None:
             link.send_frame(definition.layout, values)
         return True
+
+    def send_named(self, link: Link, *names: str) -> None:
+        """Send the messages of these names now."""
+        for name in names:
+            self.send_now(link, LAYOUTS[name].message_id)

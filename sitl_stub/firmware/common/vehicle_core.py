@@ -103,6 +103,24 @@ class VehicleCore:
         return euler_of(self.quaternion)
 
     @property
+    def attitude_valid(self) -> bool:
+        """Whether the filter vouches for its attitude."""
+        return bool(self.estimate[belief.EST_ATTITUDE_VALID] > 0.0)
+
+    @property
+    def resets(self) -> int:
+        """How often position or heading have jumped (ODOMETRY.reset_counter)."""
+        return (
+            int(self.estimate[belief.EST_POSITION_RESETS] + self.estimate[belief.EST_HEADING_RESETS]) & 0xFF
+        )
+
+    @property
+    def clearance_m(self) -> float:
+        """How far the feet are from the ground, in truth."""
+        down = float(self.environment[body.GROUND_DOWN] - self.state[body.POSITION + 2])
+        return down - self.vehicle.foot_height_m
+
+    @property
     def position_aided(self) -> bool:
         """Whether the filter gets measurements of position (GPS, motion capture)."""
         return bool(self.estimator.arrays.memory[belief.AIDED] > 0.0)

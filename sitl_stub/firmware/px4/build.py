@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from sitl_stub.firmware.px4.autopilot import VERSION_1_13, VERSION_1_17, Px4
+from sitl_stub.firmware.px4.autopilot import Px4
 from sitl_stub.firmware.px4.core import FlightCore
 from sitl_stub.firmware.px4.parameters import fitted_parameters
+from sitl_stub.firmware.px4.state import VERSION_1_13, VERSION_1_17
 from sitl_stub.physics.vehicle import VehicleParameters, load_vehicle
 
 VERSIONS = {version.name: version for version in (VERSION_1_17, VERSION_1_13)}

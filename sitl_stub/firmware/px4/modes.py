@@ -5,9 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-CUSTOM_MODE_ENABLED = 1
-ARMED_FLAG = 128
-
 
 @dataclass(frozen=True, slots=True)
 class ModeFacts:

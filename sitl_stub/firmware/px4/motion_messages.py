@@ -4,58 +4,48 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import TYPE_CHECKING, Any
 
+from sitl_stub.firmware.common.wire_values import NAN, Values, int16
 from sitl_stub.firmware.px4 import layout as at
 from sitl_stub.firmware.px4.modes import Mode
+from sitl_stub.firmware.px4.navigator import Navigator
+from sitl_stub.firmware.px4.state import Px4State
 from sitl_stub.mavlink.links import Link
 from sitl_stub.physics import vehicle as body
-
-if TYPE_CHECKING:
-    from sitl_stub.firmware.px4.autopilot import Px4
-    from sitl_stub.firmware.px4.messages import Px4Messages
-
-NAN = float("nan")
-Values = tuple[Any, ...]
-
-
-def int16(value: float) -> int:
-    """The nearest number that 16 bits hold."""
-    return max(-32768, min(32767, round(value)))
 
 
 class Px4Motion:
     """Builders of the quick messages of one vehicle."""
 
-    def __init__(self, messages: Px4Messages) -> None:
-        self.messages = messages
-        self.autopilot: Px4 = messages.autopilot
+    def __init__(self, state: Px4State, navigator: Navigator) -> None:
+        self.state = state
+        self.navigator = navigator
 
     # --- motion ------------------------------------------------------------------------------------------------
     def attitude(self, link: Link) -> Values:
         """ATTITUDE: Euler angles of the estimate."""
-        core = self.autopilot.core
-        return (self.autopilot.clock_us // 1000, *core.euler_rad, *core.body_rate_frd.tolist())
+        core = self.state.core
+        return (self.state.clock.stamp_ms, *core.euler_rad, *core.body_rate_frd.tolist())
 
     def attitude_quaternion(self, link: Link) -> Values:
         """ATTITUDE_QUATERNION."""
-        core = self.autopilot.core
+        core = self.state.core
         q, rates = core.quaternion.tolist(), core.body_rate_frd.tolist()
-        return (self.autopilot.clock_us // 1000, *q, *rates, 0.0, 0.0, 0.0, 0.0)
+        return (self.state.clock.stamp_ms, *q, *rates, 0.0, 0.0, 0.0, 0.0)
 
     def local_position_ned(self, link: Link) -> Values:
         """LOCAL_POSITION_NED; PX4 goes on sending it when position is invalid."""
-        core = self.autopilot.core
-        return (self.autopilot.clock_us // 1000, *core.position_ned.tolist(), *core.velocity_ned.tolist())
+        core = self.state.core
+        return (self.state.clock.stamp_ms, *core.position_ned.tolist(), *core.velocity_ned.tolist())
 
     def odometry(self, link: Link) -> Values:
         """ODOMETRY of the estimate: MAV_FRAME_LOCAL_NED for both, as PX4 sends it."""
-        core = self.autopilot.core
+        core = self.state.core
         pose, velocity = self._covariances
-        resets = int(core.estimate[19] + core.estimate[20]) & 0xFF
+        resets = core.resets
         motion = (*core.position_ned.tolist(), *core.quaternion.tolist(), *core.velocity_ned.tolist())
         return (
-            self.autopilot.clock_us,
+            self.state.clock.stamp_us,
             *motion,
             *core.body_rate_frd.tolist(),
             *pose,
@@ -70,7 +60,7 @@ class Px4Motion:
     @functools.cached_property
     def _covariances(self) -> tuple[list[float], list[float]]:
         """Upper triangles (21,) of the pose's and the velocity's covariance, as the estimator's preset has them."""
-        preset = self.autopilot.core.estimator.preset
+        preset = self.state.core.estimator.preset
         pose = [NAN] * 21
         velocity = [NAN] * 21
         for axis, index in enumerate((0, 6, 11)):
@@ -82,9 +72,9 @@ class Px4Motion:
 
     def highres_imu(self, link: Link) -> Values:
         """HIGHRES_IMU."""
-        core = self.autopilot.core
-        pressure = self.messages.pressure_hpa()
-        altitude = self.messages.altitude_of(float(core.position_ned[2]))
+        core = self.state.core
+        pressure = self.state.pressure_hpa
+        altitude = self.state.origin.altitude_of(float(core.position_ned[2]))
         force, rates = core.specific_force_frd.tolist(), core.body_rate_frd.tolist()
         # earth's field at the captures' place, gauss, turned into the body
         w, x, y, z = core.quaternion.tolist()
@@ -94,51 +84,51 @@ class Px4Motion:
             2 * (x * y - w * z) * north + 2 * (y * z + w * x) * down,
             2 * (x * z + w * y) * north + (1 - 2 * (x * x + y * y)) * down,
         )
-        return (self.autopilot.clock_us, *force, *rates, *field, pressure, 0.0, altitude, 15.0, 511, 0)
+        return (self.state.clock.stamp_us, *force, *rates, *field, pressure, 0.0, altitude, 15.0, 511, 0)
 
     def hil_state_quaternion(self, link: Link) -> Values:
         """HIL_STATE_QUATERNION: the truth. Latitude and longitude resolve 1.1 cm, altitude 1 mm."""
-        core = self.autopilot.core
+        core = self.state.core
         s = core.state
         x, y, z = s[body.POSITION_NED].tolist()
         velocity = s[body.VELOCITY_NED].tolist()
-        latitude, longitude = self.messages.origin.globe_e7(x, y)
+        latitude, longitude = self.state.origin.globe_e7(x, y)
         force = s[body.SPECIFIC_FORCE_FRD].tolist()
         airspeed = min(round(100.0 * math.sqrt(sum(v * v for v in velocity))), 65535)
-        head = (self.autopilot.clock_us, *s[body.QUATERNION_WXYZ].tolist(), *s[body.BODY_RATE_FRD].tolist())
-        place = (latitude, longitude, round(self.messages.altitude_of(z) * 1000))
+        head = (self.state.clock.stamp_us, *s[body.QUATERNION_WXYZ].tolist(), *s[body.BODY_RATE_FRD].tolist())
+        place = (latitude, longitude, round(self.state.origin.altitude_of(z) * 1000))
         motion = tuple(int16(100.0 * v) for v in velocity)
         return (*head, *place, *motion, airspeed, airspeed, *(int16(v / 9.80665 * 1000) for v in force))
 
     # --- targets -----------------------------------------------------------------------------------------------
     def attitude_target(self, link: Link) -> Values:
         """ATTITUDE_TARGET: what the attitude and rate loops follow."""
-        a = self.autopilot
+        a = self.state
         m = a.core.memory
         mask = 0
-        head = (a.clock_us // 1000, *m[at.OUT_QUATERNION : at.OUT_QUATERNION + 4].tolist())
+        head = (a.clock.stamp_ms, *m[at.OUT_QUATERNION : at.OUT_QUATERNION + 4].tolist())
         return (*head, *m[at.OUT_RATES : at.OUT_RATES + 3].tolist(), float(m[at.OUT_THRUST]), mask)
 
     def _follows_trajectory(self) -> bool:
-        return float(self.autopilot.core.setpoint[at.KIND]) == at.KIND_TRAJECTORY
+        return float(self.state.core.setpoint[at.KIND]) == at.KIND_TRAJECTORY
 
     def position_target_local_ned(self, link: Link) -> Values | None:
         """POSITION_TARGET_LOCAL_NED: the position controller's setpoint; silent while it does not run in the air."""
-        a = self.autopilot
-        if a.commander.armed and not self._follows_trajectory():
+        a = self.state
+        if a.armed and not self._follows_trajectory():
             return None
-        if not a.commander.armed:
-            if a.commander.mode is Mode.OFFBOARD:
+        if not a.armed:
+            if a.mode is Mode.OFFBOARD:
                 return None
             values = (NAN,) * 6 + (0.0, 0.0, 100.0, a.core.yaw, 0.0)
-            return (a.clock_us // 1000, *values, 63, 1)
+            return (a.clock.stamp_ms, *values, 63, 1)
         s, m = a.core.setpoint, a.core.memory
         position = s[at.POSITION : at.POSITION + 3].tolist()
         velocity = m[at.OUT_VELOCITY : at.OUT_VELOCITY + 3].tolist()
         acceleration = m[at.OUT_ACCELERATION : at.OUT_ACCELERATION + 3].tolist()
         mask = sum(1 << bit for bit, value in enumerate(position) if value != value)
         return (
-            a.clock_us // 1000,
+            a.clock.stamp_ms,
             *position,
             *velocity,
             *acceleration,
@@ -150,32 +140,32 @@ class Px4Motion:
 
     def position_target_global_int(self, link: Link) -> Values | None:
         """POSITION_TARGET_GLOBAL_INT in automatic modes."""
-        a = self.autopilot
-        if not (a.commander.armed and a.commander.mode.is_auto and self._follows_trajectory()):
+        a = self.state
+        if not (a.armed and a.mode.is_auto and self._follows_trajectory()):
             return None
         s, m = a.core.setpoint, a.core.memory
-        target = a.navigator.target
-        latitude, longitude = self.messages.origin.globe_e7(float(target[0]), float(target[1]))
+        target = self.navigator.target
+        latitude, longitude = self.state.origin.globe_e7(float(target[0]), float(target[1]))
         velocity = m[at.OUT_VELOCITY : at.OUT_VELOCITY + 3].tolist()
         acceleration = m[at.OUT_ACCELERATION : at.OUT_ACCELERATION + 3].tolist()
-        altitude = self.messages.altitude_of(float(target[2]))
+        altitude = self.state.origin.altitude_of(float(target[2]))
         yaw = float(s[at.YAW])
-        return (a.clock_us // 1000, latitude, longitude, altitude, *velocity, *acceleration, yaw, 0.0, 0, 5)
+        return (a.clock.stamp_ms, latitude, longitude, altitude, *velocity, *acceleration, yaw, 0.0, 0, 5)
 
     def servo_output_raw(self, link: Link) -> Values:
         """SERVO_OUTPUT_RAW: 900 disarmed, 1000..2000 µs armed."""
-        a = self.autopilot
+        a = self.state
         count = a.core.vehicle.rotor_count
         outputs = [900] * 16
-        if a.commander.armed:
+        if a.armed:
             for i, value in enumerate(a.core.motors[:count].tolist()):
                 outputs[i] = round(1000.0 + 1000.0 * value)
-        return (a.clock_us & 0xFFFFFFFF, *outputs[:8], 0, *outputs[8:])
+        return (a.clock.stamp_us & 0xFFFFFFFF, *outputs[:8], 0, *outputs[8:])
 
     def rc_channels(self, link: Link) -> Values | None:
         """RC_CHANNELS of a pilot's radio: roll, pitch, throttle, yaw in µs; silent while there is none."""
-        a = self.autopilot
-        sticks = a.navigator.sticks
+        a = self.state
+        sticks = a.sticks
         if not sticks.radio:
             return None
         first = (
@@ -184,4 +174,4 @@ class Px4Motion:
             round(1000 + 1000 * sticks.throttle),
             round(1500 + 500 * sticks.yaw),
         )
-        return (a.clock_us // 1000, *first, *([65535] * 14), 4, 100)
+        return (a.clock.stamp_ms, *first, *([65535] * 14), 4, 100)

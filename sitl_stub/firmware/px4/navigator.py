@@ -1,102 +1,37 @@
 """What PX4's own modes ask of the position controller: hold, take-off, land, return, and sticks.
 
 Setpoints move under limits of speed and acceleration (MPC_XY_CRUISE, MPC_Z_V_AUTO_UP/DN, MPC_ACC_HOR, MPC_LAND_SPEED ...);
-the follower below is a velocity profile with limited acceleration, simpler than PX4's jerk-limited one.
+`follower.py` moves them. Nothing slows to MPC_LAND_CRWL near the ground: the capture's vehicle has no distance sensor.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sitl_stub.firmware.px4.follower import Follower
 from sitl_stub.firmware.px4.modes import Mode
-
-if TYPE_CHECKING:
-    from sitl_stub.firmware.px4.autopilot import Px4
+from sitl_stub.firmware.px4.state import Px4State
 
 NAN = float("nan")
 NOWHERE = (NAN, NAN, NAN)
 ARRIVED_M = 0.3
-FULL_STICK = 1000.0
-
-
-@dataclass(slots=True)
-class Sticks:
-    """MANUAL_CONTROL, scaled to −1..1 (throttle 0..1), and when it came."""
-
-    pitch: float = 0.0
-    """Forward positive."""
-    roll: float = 0.0
-    throttle: float = 0.5
-    yaw: float = 0.0
-    last_us: int = -(10**12)
-    radio: bool = False
-    """A pilot's radio is on: there whether or not MANUAL_CONTROL comes, and seen in RC_CHANNELS."""
-
-
-@dataclass(slots=True)
-class Follower:
-    """A setpoint that travels to a target under limits of speed and acceleration, horizontal and vertical apart."""
-
-    position: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
-    velocity: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
-
-    def start(self, position: NDArray[np.float64], velocity: NDArray[np.float64]) -> None:
-        """Begin at a place, moving."""
-        self.position = np.array(position)
-        self.velocity = np.array(velocity)
-
-    def move(
-        self,
-        target: NDArray[np.float64],
-        speed_xy: float,
-        speed_up: float,
-        speed_down: float,
-        acceleration_xy: float,
-        acceleration_z: float,
-        dt_s: float,
-    ) -> None:
-        """One step towards `target` (3,) NED."""
-        offset = target[:2] - self.position[:2]
-        distance = math.hypot(float(offset[0]), float(offset[1]))
-        wanted = np.zeros(2)
-        if distance > 1e-6:
-            # the speed from which half the allowed deceleration stops in the distance left
-            wanted = (
-                offset
-                / distance
-                * min(speed_xy, math.sqrt(acceleration_xy * distance), distance / (2.0 * dt_s))
-            )
-        change = wanted - self.velocity[:2]
-        size = math.hypot(float(change[0]), float(change[1]))
-        most = acceleration_xy * dt_s
-        self.velocity[:2] += change if size <= most else change / size * most
-        drop = float(target[2] - self.position[2])
-        limit = speed_down if drop > 0 else speed_up
-        wanted_z = math.copysign(
-            min(limit, math.sqrt(acceleration_z * abs(drop)), abs(drop) / (2.0 * dt_s)), drop
-        )
-        change_z = wanted_z - float(self.velocity[2])
-        self.velocity[2] += min(max(change_z, -acceleration_z * dt_s), acceleration_z * dt_s)
-        self.position += self.velocity * dt_s
 
 
 class Navigator:
     """Setpoints of every mode but OFFBOARD."""
 
-    def __init__(self, autopilot: Px4) -> None:
-        self.autopilot = autopilot
+    def __init__(self, state: Px4State) -> None:
+        self.state = state
         self.mode: Mode | None = None
         self.follower = Follower()
         self.target = np.zeros(3)
         self.yaw = 0.0
         self.started_us = 0
         self.stage = ""
-        self.sticks = Sticks()
+        self.sticks = state.sticks
         self.vertical_velocity = 0.0
         self.reposition: NDArray[np.float64] | None = None
         self.takeoff_altitude_m: float | None = None
@@ -106,8 +41,8 @@ class Navigator:
 
     def enter(self, mode: Mode) -> None:
         """A mode begins: from where the vehicle is and as it moves."""
-        core = self.autopilot.core
-        p = self.autopilot.parameters
+        core = self.state.core
+        p = self.state.parameters
         previous = self.mode
         self.mode = mode
         self.started_us = core.time_us
@@ -124,17 +59,17 @@ class Navigator:
         if mode is Mode.TAKEOFF:
             asked = self.takeoff_altitude_m
             self.climb_m = float(p["MIS_TAKEOFF_ALT"]) if asked is None else asked
-            self.target[2] = min(float(self.autopilot.home_ned[2]) - self.climb_m, float(self.target[2]))
+            self.target[2] = min(float(self.state.home_ned[2]) - self.climb_m, float(self.target[2]))
             self.takeoff_altitude_m = None
         self.vertical_velocity = float(core.velocity_ned[2])
 
-    def update(self, dt_s: float) -> None:
-        """Move the present mode's setpoint on by `dt_s` and give it to the loops."""
+    def update(self, dt_s: float) -> bool:
+        """Move the present mode's setpoint on by `dt_s` and give it to the loops; whether a climb of TAKEOFF is over."""
         mode = self.mode
         if mode is Mode.LOITER:
             self._hold(dt_s)
         elif mode is Mode.TAKEOFF:
-            self._take_off(dt_s)
+            return self._take_off(dt_s)
         elif mode is Mode.RTL:
             self._return(dt_s)
         elif mode in (Mode.LAND, Mode.PRECISION_LAND):
@@ -147,90 +82,74 @@ class Navigator:
             self._rates_by_sticks()
         elif mode in (Mode.STABILIZED, Mode.MANUAL):
             self._attitude_by_sticks(dt_s)
+        return False
 
-    def _follow(self, dt_s: float, speed_xy: float | None = None) -> None:
-        p = self.autopilot.parameters
+    def _follow(self, dt_s: float, up: float, down: float) -> None:
+        p = self.state.parameters
         self.follower.move(
-            self.target,
-            p["MPC_XY_CRUISE"] if speed_xy is None else speed_xy,
-            p["MPC_Z_V_AUTO_UP"],
-            p["MPC_Z_V_AUTO_DN"],
-            p["MPC_ACC_HOR"],
-            p["MPC_ACC_DOWN_MAX"],
-            dt_s,
+            self.target, p["MPC_XY_CRUISE"], up, down, p["MPC_ACC_HOR"], p["MPC_ACC_DOWN_MAX"], dt_s
         )
         f = self.follower
         self._send(tuple(f.position), tuple(f.velocity))
 
     def _send(self, position: tuple[float, ...], velocity: tuple[float, ...]) -> None:
-        self.autopilot.core.follow_trajectory(
+        self.state.core.follow_trajectory(
             (position[0], position[1], position[2]),
             (velocity[0], velocity[1], velocity[2]),
             NOWHERE,
             self.yaw,
         )
 
+    def _travel(self, dt_s: float) -> None:
+        p = self.state.parameters
+        self._follow(dt_s, p["MPC_Z_V_AUTO_UP"], p["MPC_Z_V_AUTO_DN"])
+
     def _hold(self, dt_s: float) -> None:
         if self.reposition is not None:
             self.target = self.reposition
             self.reposition = None
-        if self.autopilot.land_detector.landed:
+        if self.state.ground.landed:
             self._stay_on_ground()
             return
-        self._follow(dt_s)
+        self._travel(dt_s)
 
     def _stay_on_ground(self) -> None:
-        core = self.autopilot.core
+        core = self.state.core
         self.follower.start(core.position_ned, np.zeros(3))
         self.target = np.array(core.position_ned)
         self.yaw = core.yaw
         core.follow_attitude(core.quaternion, 0.0)
 
-    def _take_off(self, dt_s: float) -> None:
-        core, p = self.autopilot.core, self.autopilot.parameters
-        waited = (core.time_us - max(self.started_us, self.autopilot.armed_at_us)) * 1e-6
+    def _take_off(self, dt_s: float) -> bool:
+        core, p = self.state.core, self.state.parameters
+        waited = (core.time_us - max(self.started_us, self.state.armed_us)) * 1e-6
         spool_up = p["COM_SPOOLUP_TIME"]
-        if self.autopilot.land_detector.landed and waited < spool_up:
+        if self.state.ground.landed and waited < spool_up:
             self._stay_on_ground()
-            self.target[2] = min(
-                float(self.autopilot.home_ned[2]) - self.climb_m, float(core.position_ned[2])
-            )
-            return
+            self.target[2] = min(float(self.state.home_ned[2]) - self.climb_m, float(core.position_ned[2]))
+            return False
         ramp = p["MPC_TKO_RAMP_T"]
         progress = (waited - spool_up) / ramp if ramp > 0 else 1.0
-        if progress < 1.0 and float(core.position_ned[2]) > float(self.autopilot.home_ned[2]) - 0.3:
+        if progress < 1.0 and float(core.position_ned[2]) > float(self.state.home_ned[2]) - 0.3:
             # The velocity setpoint rises from one that means no thrust to the climb speed, so that thrust ramps up.
             from_down = 9.81 / p["MPC_Z_VEL_P_ACC"]
             climb = from_down + (-p["MPC_TKO_SPEED"] - from_down) * max(progress, 0.0)
             self.follower.start(core.position_ned, np.array([0.0, 0.0, min(climb, 0.0)]))
             self._send((self.target[0], self.target[1], NAN), (0.0, 0.0, climb))
-            return
-        self.follower.move(
-            self.target,
-            p["MPC_XY_CRUISE"],
-            p["MPC_TKO_SPEED"],
-            1.0,
-            p["MPC_ACC_HOR"],
-            p["MPC_ACC_DOWN_MAX"],
-            dt_s,
-        )
-        self._send(tuple(self.follower.position), tuple(self.follower.velocity))
-        if abs(float(core.position_ned[2] - self.target[2])) < ARRIVED_M:
-            self.autopilot.commander.takeoff_done()
+            return False
+        self._follow(dt_s, p["MPC_TKO_SPEED"], 1.0)
+        return abs(float(core.position_ned[2] - self.target[2])) < ARRIVED_M
 
     def _land(self, dt_s: float) -> None:
-        core, p = self.autopilot.core, self.autopilot.parameters
-        detector = self.autopilot.land_detector
-        if detector.ground_contact:
+        core, p = self.state.core, self.state.parameters
+        if self.state.ground.contact:
             core.follow_attitude(np.array([math.cos(self.yaw / 2), 0.0, 0.0, math.sin(self.yaw / 2)]), 0.0)
             return
-        height = float(self.autopilot.home_ned[2] - core.position_ned[2])
+        height = self.state.height_above_home_m
         fast, slow = p["MPC_Z_V_AUTO_DN"], p["MPC_LAND_SPEED"]
         high, low = p["MPC_LAND_ALT1"], p["MPC_LAND_ALT2"]
         share = min(max((height - low) / max(high - low, 0.1), 0.0), 1.0)
         speed = slow + (max(fast, slow) - slow) * share
-        if height < p.get("MPC_LAND_ALT3", 0.0) and self.autopilot.has_distance_sensor:
-            speed = min(speed, p["MPC_LAND_CRWL"])
         change = p["MPC_ACC_DOWN_MAX"] * dt_s
         self.vertical_velocity += min(max(speed - self.vertical_velocity, -change), change)
         if not core.position_valid:
@@ -245,7 +164,7 @@ class Navigator:
 
         Near home it stays inside a cone about it instead of climbing to RTL_RETURN_ALT.
         """
-        p = self.autopilot.parameters
+        p = self.state.parameters
         highest, cone_deg = float(p["RTL_RETURN_ALT"]), float(p["RTL_CONE_ANG"])
         wanted = highest
         if cone_deg > 0.0:
@@ -258,12 +177,10 @@ class Navigator:
         return max(height_m, min(wanted, highest))
 
     def _return(self, dt_s: float) -> None:
-        p, home = self.autopilot.parameters, self.autopilot.home_ned
-        core = self.autopilot.core
-        away = math.hypot(float(core.position_ned[0] - home[0]), float(core.position_ned[1] - home[1]))
+        p, home = self.state.parameters, self.state.home_ned
+        core, away = self.state.core, self.state.distance_from_home_m
         if self.stage == "start":
-            height = float(home[2] - core.position_ned[2])
-            self.target[2] = home[2] - self.return_height(away, height)
+            self.target[2] = home[2] - self.return_height(away, self.state.height_above_home_m)
             self.stage = "climb"
         if self.stage == "climb" and abs(float(core.position_ned[2] - self.target[2])) < p["NAV_MC_ALT_RAD"]:
             self.target[:2] = home[:2]
@@ -274,24 +191,24 @@ class Navigator:
         if self.stage == "land":
             self._land(dt_s)
         else:
-            self._follow(dt_s)
+            self._travel(dt_s)
 
     # --- sticks ------------------------------------------------------------------------------------------------
     def _turn(self, dt_s: float) -> float:
-        rate = math.radians(self.autopilot.parameters["MPC_MAN_Y_MAX"]) * self.sticks.yaw
+        rate = math.radians(self.state.parameters["MPC_MAN_Y_MAX"]) * self.sticks.yaw
         self.yaw = math.remainder(self.yaw + rate * dt_s, 2.0 * math.pi)
         return rate
 
     def _climb(self) -> float:
-        p = self.autopilot.parameters
+        p = self.state.parameters
         up = 2.0 * self.sticks.throttle - 1.0
         if abs(up) < 0.1:
             return 0.0
         return -up * (p["MPC_Z_VEL_MAX_UP"] if up > 0 else p["MPC_Z_VEL_MAX_DN"])
 
     def _position_by_sticks(self, dt_s: float) -> None:
-        core, p = self.autopilot.core, self.autopilot.parameters
-        if self.autopilot.land_detector.landed and self.sticks.throttle < 0.6:
+        core, p = self.state.core, self.state.parameters
+        if self.state.ground.landed and self.sticks.throttle < 0.6:
             self._stay_on_ground()
             return
         self._turn(dt_s)
@@ -317,7 +234,7 @@ class Navigator:
         self._send(tuple(f.position), tuple(f.velocity))
 
     def _stick_tilt(self) -> NDArray[np.float64]:
-        most = math.radians(self.autopilot.parameters["MPC_MAN_TILT_MAX"])
+        most = math.radians(self.state.parameters["MPC_MAN_TILT_MAX"])
         roll, pitch = most * self.sticks.roll, -most * self.sticks.pitch
         cr, sr, cp, sp = math.cos(roll / 2), math.sin(roll / 2), math.cos(pitch / 2), math.sin(pitch / 2)
         cy, sy = math.cos(self.yaw / 2), math.sin(self.yaw / 2)
@@ -331,17 +248,17 @@ class Navigator:
         )
 
     def _altitude_by_sticks(self, dt_s: float) -> None:
-        if self.autopilot.land_detector.landed and self.sticks.throttle < 0.6:
+        if self.state.ground.landed and self.sticks.throttle < 0.6:
             self._stay_on_ground()
             return
         self._turn(dt_s)
-        most = math.tan(math.radians(self.autopilot.parameters["MPC_MAN_TILT_MAX"])) * 9.81
+        most = math.tan(math.radians(self.state.parameters["MPC_MAN_TILT_MAX"])) * 9.81
         forward, right = most * self.sticks.pitch, most * self.sticks.roll
         cos_yaw, sin_yaw = math.cos(self.yaw), math.sin(self.yaw)
         climb = self._climb()
         f = self.follower
         f.position[2] += climb * dt_s
-        self.autopilot.core.follow_trajectory(
+        self.state.core.follow_trajectory(
             (NAN, NAN, float(f.position[2])),
             (NAN, NAN, climb),
             (cos_yaw * forward - sin_yaw * right, sin_yaw * forward + cos_yaw * right, NAN),
@@ -349,8 +266,8 @@ class Navigator:
         )
 
     def _attitude_by_sticks(self, dt_s: float) -> None:
-        p = self.autopilot.parameters
-        if self.autopilot.land_detector.landed and self.sticks.throttle < 0.1:
+        p = self.state.parameters
+        if self.state.ground.landed and self.sticks.throttle < 0.1:
             self._stay_on_ground()
             return
         rate = self._turn(dt_s)
@@ -359,11 +276,11 @@ class Navigator:
         # stick in the middle is hover thrust (MPC_THR_CURVE 0)
         least, most = p["MPC_MANTHR_MIN"], p["MPC_THR_MAX"]
         thrust = least + (hover - least) * 2.0 * s if s < 0.5 else hover + (most - hover) * (2.0 * s - 1.0)
-        self.autopilot.core.follow_attitude(self._stick_tilt(), thrust, rate)
+        self.state.core.follow_attitude(self._stick_tilt(), thrust, rate)
 
     def _rates_by_sticks(self) -> None:
-        p, s = self.autopilot.parameters, self.sticks
+        p, s = self.state.parameters, self.sticks
         rates = np.radians(
             np.array([p["MC_ACRO_R_MAX"] * s.roll, -p["MC_ACRO_P_MAX"] * s.pitch, p["MC_ACRO_Y_MAX"] * s.yaw])
         )
-        self.autopilot.core.follow_rates(rates, s.throttle)
+        self.state.core.follow_rates(rates, s.throttle)

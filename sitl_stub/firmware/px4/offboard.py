@@ -9,10 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sitl_stub.firmware.common.wire_values import NAN
 from sitl_stub.firmware.px4 import layout as at
+from sitl_stub.firmware.px4.core import CONTROL_PERIOD_US
+from sitl_stub.firmware.px4.modes import Mode
+from sitl_stub.firmware.px4.state import Px4State
 from sitl_stub.mavlink.codec import Received
 
-NAN = float("nan")
+CONTROL_MODE_PERIOD_US = 500_000
+ESTIMATE_PERIOD_US = 4000
+"""How often PX4's attitude loop runs on the estimate of its simulator (250 Hz)."""
 
 # ATTITUDE_TARGET_TYPEMASK
 IGNORE_RATES = 0b111
@@ -165,3 +171,47 @@ class OffboardSetpoint:
         self.packed[at.OVERRIDE_PERIODS] = 0.0
         self.packed[at.KIND] = at.KIND_ACTUATORS
         return self._accept(OffboardKind.ACTUATORS, time_us)
+
+
+class OffboardControl:
+    """Gives the setpoint to the loops, as far as the controllers that run let it."""
+
+    def __init__(self, state: Px4State, setpoint: OffboardSetpoint) -> None:
+        self.state = state
+        self.setpoint = setpoint
+        self._latched_kind = OffboardKind.NONE
+        self.latched_us = 0
+        self._latched_state = (state.armed, state.mode)
+
+    def latch(self) -> bool:
+        """Every 10 ms: look which controllers run; whether that has just been decided.
+
+        PX4's commander publishes it when the mode or arming changes, and else twice a second. Until then a setpoint of
+        another kind meets the controllers of the old one (seen in the capture).
+        """
+        state, now = (self.state.armed, self.state.mode), self.state.clock.time_us
+        if state != self._latched_state or now - self.latched_us >= CONTROL_MODE_PERIOD_US:
+            self._latched_state = state
+            self.latched_us = now
+            self._latched_kind = self.setpoint.kind
+            return True
+        return False
+
+    @property
+    def attitude_loop_runs(self) -> bool:
+        """Whether the setpoints in force use the attitude loop (HEARTBEAT's stabilise bit in OFFBOARD)."""
+        return self._latched_kind not in (OffboardKind.NONE, OffboardKind.RATES, OffboardKind.ACTUATORS)
+
+    def apply(self) -> None:
+        """Let the loops follow the setpoint, where OFFBOARD flies."""
+        if not (self.state.armed and self.state.mode is Mode.OFFBOARD) or self.state.killed:
+            return
+        new, old = self.setpoint.kind, self._latched_kind
+        packed, setpoint = self.setpoint.packed, self.state.core.setpoint
+        if setpoint[at.KIND] == at.KIND_IDLE or new.controllers == old.controllers:
+            setpoint[:] = packed
+        elif old is OffboardKind.ATTITUDE and new is OffboardKind.RATES:
+            # the attitude loop still runs and overwrites each rate setpoint with its own, one estimate later
+            setpoint[at.OVERRIDE_RATES : at.OVERRIDE_RATES + 3] = packed[at.RATES : at.RATES + 3]
+            setpoint[at.OVERRIDE_THRUST] = packed[at.THRUST]
+            setpoint[at.OVERRIDE_PERIODS] = ESTIMATE_PERIOD_US // CONTROL_PERIOD_US

@@ -8,16 +8,12 @@ simulator leaves unknown (UTC by satellite, the authentication of signals) is un
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
 
+from sitl_stub.firmware.common.wire_values import Values
 from sitl_stub.firmware.px4.modes import Mode
+from sitl_stub.firmware.px4.navigator import Navigator
+from sitl_stub.firmware.px4.state import Px4State
 from sitl_stub.mavlink.links import Link
-
-if TYPE_CHECKING:
-    from sitl_stub.firmware.px4.autopilot import Px4
-    from sitl_stub.firmware.px4.messages import Px4Messages
-
-Values = tuple[Any, ...]
 
 RECEIVER_ID = 4
 """Last byte of the device id of PX4's simulated receiver, as in the capture."""
@@ -45,20 +41,16 @@ TAKEOFF_PLACE = 0
 class Px4Reports:
     """Builders of the slow reports of one vehicle."""
 
-    def __init__(self, messages: Px4Messages) -> None:
-        self.messages = messages
-
-    @property
-    def autopilot(self) -> Px4:
-        """Whose reports they are."""
-        return self.messages.autopilot
+    def __init__(self, state: Px4State, navigator: Navigator) -> None:
+        self.state = state
+        self.navigator = navigator
 
     def link_node_status(self, link: Link) -> Values:
         """LINK_NODE_STATUS: what this link has carried. PX4 leaves the fill of the buffers at 0, and stamps in µs."""
-        a, traffic = self.autopilot, link.traffic
-        traffic.measure(a.time_us)
+        a, traffic = self.state, link.traffic
+        traffic.measure(a.clock.time_us)
         return (
-            a.clock_us,
+            a.clock.stamp_us,
             round(traffic.sent_bytes_s),
             round(traffic.received_bytes_s),
             traffic.sent,
@@ -77,19 +69,17 @@ class Px4Reports:
 
     def _safe_return_s(self) -> float:
         """As `RtlDirect::calc_rtl_time_estimate`; 0 on the ground or without a place."""
-        a = self.autopilot
-        core, p, navigator = a.core, a.parameters, a.navigator
-        if not (a.home_known and core.position_valid) or a.land_detector.landed:
+        a = self.state
+        core, p, navigator = a.core, a.parameters, self.navigator
+        if not (a.home_known and core.position_valid) or a.ground.landed:
             return 0.0
-        north, east, down = core.position_ned.tolist()
-        home = a.home_ned.tolist()
-        height = float(home[2] - down)
+        height = a.height_above_home_m
         names = ("MPC_Z_V_AUTO_UP", "MPC_Z_V_AUTO_DN", "MPC_XY_CRUISE")
         up, sink, along = (max(float(p[name]), SLOWEST_M_S) for name in names)
         if navigator.mode is Mode.RTL and navigator.stage == "land":
             seconds = abs(height) / sink
         else:
-            away = math.hypot(north - home[0], east - home[1])
+            away = a.distance_from_home_m
             top = navigator.return_height(away, height)
             low = min(float(p["RTL_DESCEND_ALT"]), top)
             seconds = (top - height) / up + away / along + (top - low) / sink
@@ -103,27 +93,27 @@ class Px4Reports:
 
     def open_drone_id_location(self, link: Link) -> Values:
         """OPEN_DRONE_ID_LOCATION: place, height over home and motion, in whole degrees and metres where PX4 rounds."""
-        a = self.autopilot
+        a = self.state
         core = a.core
         north, east, down = core.position_ned.tolist()
-        altitude = self.messages.altitude_of(down)
-        fix, _ = self.messages.gps_fix
+        altitude = self.state.origin.altitude_of(down)
+        fix, _ = self.state.gps_fix
         place, geodetic, accuracy = (0, 0), UNKNOWN_ALTITUDE_M, (0, 0)
         motion, speed_accuracy = (UNKNOWN_DIRECTION, UNKNOWN_SPEED, UNKNOWN_CLIMB), 0
         if fix >= 3:
-            place, geodetic = self.messages.origin.globe_e7(north, east), float(round(altitude))
+            place, geodetic = self.state.origin.globe_e7(north, east), float(round(altitude))
             accuracy = (WITHIN_1_M, WITHIN_3_M_UP)
             motion, speed_accuracy = self._motion(), WITHIN_1_M_S
         height = float(a.home_ned[2]) - down if a.home_known and core.position_valid else UNKNOWN_ALTITUDE_M
-        status = ON_GROUND if a.land_detector.landed else AIRBORNE
-        if a.commander.armed and a.commander.failsafe:
+        status = ON_GROUND if a.ground.landed else AIRBORNE
+        if a.armed and a.failsafe:
             status = EMERGENCY
         head = (*place, altitude, geodetic, height, UNKNOWN_HOUR_S, *motion, 0, 0, *UNTOLD_ID)
         return (*head, status, 0, *accuracy, 0, speed_accuracy, 0)
 
     def _motion(self) -> tuple[int, int, int]:
         """Course in whole degrees as centidegrees, speed and climb in cm/s."""
-        vx, vy, vz = self.autopilot.core.velocity_ned.tolist()
+        vx, vy, vz = self.state.core.velocity_ned.tolist()
         course = 100 * round(math.degrees(math.atan2(vy, vx)) % 360.0)
         speed = min(int(100.0 * math.hypot(vx, vy)), FASTEST_CM_S)
         climb = min(max(round(-100.0 * vz), -FASTEST_CLIMB_CM_S), FASTEST_CLIMB_CM_S)
@@ -134,11 +124,11 @@ class Px4Reports:
 
         Its time is UTC by satellite less the year 2019; PX4's simulated receiver has no UTC, and the difference wraps.
         """
-        a = self.autopilot
-        if not a.home_known or self.messages.gps_fix[0] < 3:
+        a = self.state
+        if not a.home_known or self.state.gps_fix[0] < 3:
             return None
         north, east, down = a.home_ned.tolist()
-        place = self.messages.origin.globe_e7(north, east)
-        altitude = self.messages.altitude_of(down)
+        place = self.state.origin.globe_e7(north, east)
+        altitude = self.state.origin.altitude_of(down)
         head = (*place, UNKNOWN_ALTITUDE_M, UNKNOWN_ALTITUDE_M, altitude, -UTC_OFFSET_S & 0xFFFFFFFF)
         return (*head, 1, 0, 0, 0, *UNTOLD_ID, TAKEOFF_PLACE, 0, 0, 0)
