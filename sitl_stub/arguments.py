@@ -28,6 +28,7 @@ EXAMPLES = """examples:
   sitl-stub --firmware ardupilot               ArduCopter 4.7: a TCP server on 5760, and speaks to udp 14550
   sitl-stub --firmware ardupilot --ready-after 1 --param GUID_OPTIONS=8
   sitl-stub --vehicle px4_sih --estimator gps --wind 4,1.5 --param MC_ROLL_P=6
+  sitl-stub --vehicle random:7                 one of a family from 0.25 to 35 kg, as a sensible owner tuned it
   sitl-stub --scenario faults.toml --seed 7    what goes wrong when, from a file (docs/faults.md)
   sitl-stub --list-faults                      every fault with its parameters, units and defaults
   sitl-stub --port 0 --json                    free ports throughout; the client's endpoint is in the line
@@ -53,7 +54,7 @@ def parser() -> argparse.ArgumentParser:
     vehicle.add_argument(
         "--vehicle",
         metavar="NAME",
-        help="qball2, px4_sih, arducopter or a .toml file (default qball2; arducopter for ArduPilot)",
+        help="qball2, px4_sih, arducopter, random:SEED or a .toml file (default qball2; arducopter for ArduPilot)",
     )
     vehicle.add_argument(
         "--mass", type=float, metavar="KG", help="true mass, where it differs from the vehicle's file"

@@ -103,6 +103,18 @@ class VehicleError(ValueError):
 
 
 @dataclass(frozen=True)
+class Owner:
+    """What its owner told the autopilot, where that is not the truth or not the capture's vehicle scaled."""
+
+    rate_crossover_rad_s: float | None = None
+    """Crossover of the roll and pitch rate loops as tuned; None: that of the capture's vehicle."""
+    hover_told: float = 1.0
+    """Hover thrust in the parameters, over the true one."""
+    thrust_curve_told: float | None = None
+    """THR_MDL_FAC, MOT_THST_EXPO; None: the true curve."""
+
+
+@dataclass(frozen=True)
 class VehicleParameters:
     """One multirotor. Shapes and units beside the fields; N rotors, 3 ≤ N ≤ 8.
 
@@ -137,6 +149,7 @@ class VehicleParameters:
     battery_sag: bool = False  # whether the falling voltage takes thrust with it
     power_per_thrust: float = 20.0  # W/N^1.5 a rotor: electrical power = this · T^1.5
     idle_current_a: float = 0.5  # avionics
+    owner: Owner = Owner()
 
     def __post_init__(self) -> None:
         """Turn sequences into float64 arrays and check them."""
@@ -339,16 +352,18 @@ def vehicle_names() -> list[str]:
 
 
 def load_vehicle(name_or_path: str | Path, **changes: Any) -> VehicleParameters:
-    """The shipped vehicle of that name, or one from a TOML file of one's own; `changes` replace single fields.
+    """The shipped vehicle of that name, `random:SEED`, or one from a TOML file; `changes` replace single fields.
 
     Raises `VehicleError` naming the file, every fault in it and, for an unknown name, the names there are.
     """
+    if str(name_or_path).startswith("random:"):
+        return replace(_random(str(name_or_path)), **changes)
     text, where = _read(name_or_path)
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise VehicleError(f"{where} is not TOML: {error}") from error
-    known = {field.name for field in fields(VehicleParameters)}
+    known = {field.name for field in fields(VehicleParameters)} - {"owner"}
     required = {"mass_kg", "inertia_kg_m2", "rotor_position_frd", "rotor_spin", "max_thrust_newton"}
     required |= {"torque_per_thrust_m", "rotor_lag_rad_s"}
     unknown, missing = sorted(set(table) - known), sorted(required - set(table))
@@ -365,6 +380,15 @@ def load_vehicle(name_or_path: str | Path, **changes: Any) -> VehicleParameters:
         raise VehicleError(f"{where}: {error}") from error
 
 
+def _random(name: str) -> VehicleParameters:
+    from sitl_stub.physics.random_vehicle import random_vehicle  # which is made of what stands here
+
+    seed = name.removeprefix("random:")
+    if not seed.isdecimal():
+        raise VehicleError(f"vehicle {name!r}: give random:SEED with a whole number, for example random:7")
+    return random_vehicle(int(seed))
+
+
 def _read(name_or_path: str | Path) -> tuple[str, str]:
     """Text of the vehicle's file and how to call that file in an error."""
     name = str(name_or_path)
@@ -373,7 +397,7 @@ def _read(name_or_path: str | Path) -> tuple[str, str]:
     path = Path(name)
     if path.suffix != ".toml":
         raise VehicleError(
-            f"unknown vehicle {name!r}: choose from {', '.join(vehicle_names())}, or name a .toml file"
+            f"unknown vehicle {name!r}: choose from {', '.join(vehicle_names())}, random:SEED, or name a .toml file"
         )
     try:
         return path.read_text(encoding="utf-8"), name

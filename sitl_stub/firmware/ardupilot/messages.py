@@ -16,7 +16,7 @@ from sitl_stub.firmware.ardupilot.modes import Mode
 from sitl_stub.firmware.ardupilot.motion_messages import ArduPilotMotion
 from sitl_stub.firmware.ardupilot.state import ArduPilotState
 from sitl_stub.firmware.common.clock import SIMULATED_EPOCH_US
-from sitl_stub.firmware.common.mavlink_ids import LandedState, ModeFlag, SystemStatus
+from sitl_stub.firmware.common.mavlink_ids import LandedState, ModeFlag, SystemStatus, VehicleType
 from sitl_stub.firmware.common.streams import Builder, StreamRow
 from sitl_stub.firmware.common.wire_values import NAN, Values, int16
 from sitl_stub.mavlink.codec import LAYOUTS
@@ -27,8 +27,9 @@ CAPABILITIES = 64495
 FLIGHT_SW_VERSION = 67567616  # 4.7.0 dev
 GIT_HASH = b"2598e9d4"
 BOARD_UID = b"3d1219c7c4c54040"
-QUADROTOR, ARDUPILOTMEGA = 2, 3
-"""MAV_TYPE, MAV_AUTOPILOT."""
+ARDUPILOTMEGA = 3
+"""MAV_AUTOPILOT."""
+TYPE_OF_FRAME_CLASS = {1: VehicleType.QUADROTOR, 2: VehicleType.HEXAROTOR, 3: VehicleType.OCTOROTOR}
 ALWAYS_ON = ModeFlag.STABILIZE_ENABLED | ModeFlag.MANUAL_INPUT_ENABLED | ModeFlag.CUSTOM_MODE_ENABLED
 MULTICOPTER = 3
 # SYS_STATUS bits of the capture
@@ -160,7 +161,8 @@ class ArduPilotMessages:
         base |= ModeFlag.GUIDED_ENABLED if self.place_controlled else 0
         base |= ModeFlag.SAFETY_ARMED if a.armed else 0
         status = SystemStatus.STANDBY if a.landed else SystemStatus.ACTIVE
-        return (a.mode.custom_mode, QUADROTOR, ARDUPILOTMEGA, base, status, 3)
+        kind = TYPE_OF_FRAME_CLASS.get(int(a.parameters["FRAME_CLASS"]), VehicleType.GENERIC)
+        return (a.mode.custom_mode, kind, ARDUPILOTMEGA, base, status, 3)
 
     def sys_status(self, link: Link) -> Values:
         """SYS_STATUS: sensors, the pre-arm bit (28) for the present mode, battery."""

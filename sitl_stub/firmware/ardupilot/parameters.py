@@ -21,6 +21,9 @@ KINDS = {"b": INT8, "h": INT16, "i": INT32, "f": REAL32}
 """Letter in the data file to MAV_PARAM_TYPE."""
 BITS = {INT8: 8, INT16: 16, INT32: 32}
 CAPTURE_VEHICLE = "arducopter"
+FRAME_CLASS_QUAD = 1
+FRAME_CLASS_OF_ROTORS = {4: FRAME_CLASS_QUAD, 6: 2, 8: 3}
+"""FRAME_CLASS hexa and octa."""
 ROUNDING = 0.01
 """What ArduPilot adds before it cuts the fraction off."""
 
@@ -78,13 +81,43 @@ def fitted_parameters(vehicle: VehicleParameters) -> ArduPilotParameters:
         return table
     known = angular_acceleration_per_torque(load_vehicle(CAPTURE_VEHICLE))
     scales = known / angular_acceleration_per_torque(vehicle)
+    if vehicle.owner.rate_crossover_rad_s is not None:
+        agility = vehicle.owner.rate_crossover_rad_s / (table["ATC_RAT_RLL_P"] * float(known[0]))
+        scales = scales * agility
+        _tune(table, agility)
     for axis, scale in zip(("RLL", "PIT", "YAW"), scales, strict=True):
         for term in ("P", "I", "D"):
             name = f"ATC_RAT_{axis}_{term}"
             table.set(name, table[name] * float(scale))
         # room for the integral to hold the same angular acceleration
         table.set(f"ATC_RAT_{axis}_IMAX", min(table[f"ATC_RAT_{axis}_IMAX"] * max(float(scale), 1.0), 1.0))
-    table.set("MOT_THST_EXPO", vehicle.thrust_curve)
-    ratio = vehicle.mass_kg * vehicle.gravity_m_s2 / float(vehicle.max_thrust_newton.sum())
+    told = vehicle.owner.thrust_curve_told
+    table.set("MOT_THST_EXPO", vehicle.thrust_curve if told is None else told)
+    table.set("FRAME_CLASS", FRAME_CLASS_OF_ROTORS.get(vehicle.rotor_count, FRAME_CLASS_QUAD))
+    ratio = (
+        vehicle.owner.hover_told
+        * vehicle.mass_kg
+        * vehicle.gravity_m_s2
+        / float(vehicle.max_thrust_newton.sum())
+    )
     table.set("MOT_THST_HOVER", min(max(round(ratio, 4), 0.125), 0.6875))
     return table
+
+
+def _tune(table: ArduPilotParameters, agility: float) -> None:
+    """What an owner changes with the rate loops' crossover, `agility` times that of the capture's vehicle.
+
+    Input shaping, attitude and position loops go along, since each has to stay slower than the one below it.
+    """
+    factors = {
+        "ATC_ANG_RLL_P": max(agility, 0.5),
+        "ATC_ANG_PIT_P": max(agility, 0.5),
+        "ATC_ANG_YAW_P": max(agility, 0.5),
+        "ATC_INPUT_TC": 1.0 / max(agility, 0.6),
+        "ATC_ACCEL_R_MAX": max(agility, 0.3) ** 2,
+        "ATC_ACCEL_P_MAX": max(agility, 0.3) ** 2,
+        "ATC_ACCEL_Y_MAX": max(agility, 0.4) ** 2,
+        "PSC_VELXY_P": max(agility, 0.7),
+    }
+    for name, factor in factors.items():
+        table.set(name, table[name] * (min(factor, 1.0) if name != "ATC_INPUT_TC" else max(factor, 1.0)))

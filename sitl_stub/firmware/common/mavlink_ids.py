@@ -63,3 +63,12 @@ class SystemStatus(IntEnum):
     STANDBY = 3
     ACTIVE = 4
     CRITICAL = 5
+
+
+class VehicleType(IntEnum):
+    """MAV_TYPE."""
+
+    GENERIC = 0
+    QUADROTOR = 2
+    HEXAROTOR = 13
+    OCTOROTOR = 14

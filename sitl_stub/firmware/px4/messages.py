@@ -31,8 +31,8 @@ PREARM_BIT = 1 << 28
 GPS_BIT = 1 << 5
 HEALTH_BITS = 52480063
 SENSORS_PRESENT, SENSORS_ENABLED = 16431, 81967
-QUADROTOR, PX4 = 2, 12
-"""MAV_TYPE, MAV_AUTOPILOT."""
+PX4 = 12
+"""MAV_AUTOPILOT."""
 
 
 class Px4Messages:
@@ -116,7 +116,7 @@ class Px4Messages:
             status = SystemStatus.CRITICAL if a.failsafe else SystemStatus.ACTIVE
         else:
             status = SystemStatus.STANDBY if self.commander.ready_to_arm else SystemStatus.UNINIT
-        return (a.mode.custom_mode, QUADROTOR, PX4, base, status, 3)
+        return (a.mode.custom_mode, int(a.parameters["MAV_TYPE"]), PX4, base, status, 3)
 
     def sys_status(self, link: Link) -> Values:
         """SYS_STATUS: sensors, the pre-arm bit (28) for the present mode, battery."""

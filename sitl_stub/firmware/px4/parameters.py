@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
+from sitl_stub.firmware.common.mavlink_ids import VehicleType
 from sitl_stub.firmware.common.parameters import ParameterTable
 from sitl_stub.firmware.px4.mixing import full_torque_newton_metre, mixer_matrix
 from sitl_stub.physics.vehicle import VehicleParameters, load_vehicle
 
 CAPTURE_VEHICLE = "px4_sih"
+TYPE_OF_ROTORS = {4: VehicleType.QUADROTOR, 6: VehicleType.HEXAROTOR, 8: VehicleType.OCTOROTOR}
 
 
 def stock_parameters() -> ParameterTable:
@@ -32,15 +35,20 @@ def fitted_parameters(vehicle: VehicleParameters) -> ParameterTable:
     reference = load_vehicle(CAPTURE_VEHICLE)
     own = full_torque_newton_metre(vehicle, mixer_matrix(vehicle)) / vehicle.inertia_kg_m2
     known = full_torque_newton_metre(reference, mixer_matrix(reference)) / reference.inertia_kg_m2
-    for name, scale in zip(("ROLL", "PITCH", "YAW"), known / own, strict=True):
+    agility = 1.0
+    if vehicle.owner.rate_crossover_rad_s is not None:
+        agility = vehicle.owner.rate_crossover_rad_s / float(values["MC_ROLLRATE_P"] * known[0])
+        values.update(_tuned(values, agility))
+    for name, scale in zip(("ROLL", "PITCH", "YAW"), agility * known / own, strict=True):
         values[f"MC_{name}RATE_K"] = round(float(scale), 4)
     arms = np.abs(vehicle.rotor_position_frd)
     lag = vehicle.rotor_lag_rad_s
     thrust = float(vehicle.max_thrust_newton.mean())
     values.update(
         {
-            "MPC_THR_HOVER": round(vehicle.hover_command, 4),
-            "THR_MDL_FAC": vehicle.thrust_curve,
+            "MPC_THR_HOVER": round(min(max(vehicle.owner.hover_told * _hover(vehicle), 0.1), 0.8), 4),
+            "THR_MDL_FAC": told_curve(vehicle),
+            "MAV_TYPE": int(TYPE_OF_ROTORS.get(vehicle.rotor_count, VehicleType.QUADROTOR)),
             "SIH_MASS": vehicle.mass_kg,
             "SIH_IXX": float(vehicle.inertia_kg_m2[0]),
             "SIH_IYY": float(vehicle.inertia_kg_m2[1]),
@@ -61,3 +69,35 @@ def fitted_parameters(vehicle: VehicleParameters) -> ParameterTable:
         values[f"CA_ROTOR{index}_PY"] = float(vehicle.rotor_position_frd[index, 1])
         values[f"CA_ROTOR{index}_KM"] = float(vehicle.rotor_spin[index]) * 0.05
     return ParameterTable(values)
+
+
+def told_curve(vehicle: VehicleParameters) -> float:
+    """The thrust curve k that the owner put into the autopilot's parameters."""
+    told = vehicle.owner.thrust_curve_told
+    return vehicle.thrust_curve if told is None else told
+
+
+def _hover(vehicle: VehicleParameters) -> float:
+    """Normalised thrust in hover as PX4's parameters count it: the motor signal, and THR_MDL_FAC undoes the curve."""
+    if vehicle.owner.thrust_curve_told is None:
+        return vehicle.hover_command
+    k, signal = vehicle.owner.thrust_curve_told, vehicle.hover_command
+    return (1.0 - k) * signal + k * signal**2
+
+
+def _tuned(values: Mapping[str, float], agility: float) -> dict[str, float]:
+    """What an owner changes with the rate loops' crossover, `agility` times that of the capture's vehicle.
+
+    The attitude and position loops go along, since each has to stay slower than the one below it.
+    """
+    slow = min(agility, 1.0)
+    return {
+        "MC_ROLL_P": round(values["MC_ROLL_P"] * min(agility, 1.8), 2),
+        "MC_PITCH_P": round(values["MC_PITCH_P"] * min(agility, 1.8), 2),
+        "MC_YAW_P": round(values["MC_YAW_P"] * min(agility, 1.3), 2),
+        "MC_ROLLRATE_MAX": round(values["MC_ROLLRATE_MAX"] * max(slow, 0.5)),
+        "MC_PITCHRATE_MAX": round(values["MC_PITCHRATE_MAX"] * max(slow, 0.5)),
+        "MC_YAWRATE_MAX": round(values["MC_YAWRATE_MAX"] * max(slow, 0.4)),
+        "MPC_XY_VEL_P_ACC": round(values["MPC_XY_VEL_P_ACC"] * max(min(agility, 1.2), 0.6), 2),
+        "MPC_XY_P": round(values["MPC_XY_P"] * max(slow, 0.7), 2),
+    }
