@@ -12,8 +12,8 @@ import pytest
 from stub_flights import Flown, fly_short, interrupt, lockstep_stub
 from stub_flights import Pilot as GroundPilot
 
-from companion.control.law import ControlLaw
-from companion.control.structs import Setpoint, StepResult
+from companion.control.law import ControlLaw, StepResult
+from companion.control.structs import Setpoint
 from companion.flight.flight import Flight
 from companion.flight.outcome import Outcome
 from companion.flight.phases import Phase

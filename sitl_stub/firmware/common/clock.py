@@ -7,7 +7,7 @@ from sitl_stub.firmware.common.vehicle_core import VehicleCore
 LATEST_STAMP_US = (2**32 - 1) * 1000
 """What `time_boot_ms` can hold."""
 SIMULATED_EPOCH_US = 1_795_335_292_521_929
-"""Unix time of boot, µs: that of the PX4 capture. Fixed, so that SYSTEM_TIME repeats."""
+"""Unix time of boot, µs: that of one of the captures. Fixed, so that SYSTEM_TIME repeats."""
 
 
 class Clock:

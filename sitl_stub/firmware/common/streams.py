@@ -1,6 +1,6 @@
 """Which messages a client gets, how often, and when they are due.
 
-As PX4's MAVLink loop, messages are sent at instants of a fixed loop (10 ms, or the shortest interval asked for); a
+Messages are sent at instants of a fixed loop (10 ms, or the shortest interval asked for), as autopilots do it; a
 message whose interval is not a multiple keeps its mean rate. Within one instant those that say how the vehicle moves
 (LEADING) go first, for in lockstep a client acts upon them while the rest is still being made; else the order on the wire
 is that of the definitions.
