@@ -41,7 +41,7 @@ def test_clock_jump_is_in_time_stamps_and_timesync_and_goes_back_at_its_end() ->
 
 def test_clock_never_shows_less_than_nothing() -> None:
     client = ardupilot({"kind": "clock_jump", "at_s": 0.5, "jump_s": -100})
-    client.command(511, mavlink.MAVLINK_MSG_ID_ATTITUDE, 20_000)
+    client.command("SET_MESSAGE_INTERVAL", mavlink.MAVLINK_MSG_ID_ATTITUDE, 20_000)
     client.advance(1.0)
     assert client.last("ATTITUDE").time_boot_ms == 0
 
@@ -68,14 +68,14 @@ def test_stopped_streams_come_back_and_others_go_on() -> None:
 
 def test_reboot_in_flight_stops_rotors_and_time_begins_again() -> None:
     client = flying_px4()
-    client.command(511, mavlink.MAVLINK_MSG_ID_ATTITUDE, 4000)
+    client.command("SET_MESSAGE_INTERVAL", mavlink.MAVLINK_MSG_ID_ATTITUDE, 4000)
     client.send(mavlink.MAVLink_param_set_message(1, 1, b"MC_ROLL_P", 5.0, 9))
     client.take()
     inject(client, "reboot", silent_s=1.0)
     client.advance(0.01)
     assert [m.text for m in client.take("STATUSTEXT")] == ["fault: reboot"]
     client.advance(0.9)
-    assert client.command(400, 1) == [] and client.take() == []
+    assert client.command("COMPONENT_ARM_DISARM", 1) == [] and client.take() == []
     assert client.height_m < 2.0
     client.advance(0.3)
     seen = client.take("ATTITUDE")
@@ -86,7 +86,7 @@ def test_reboot_in_flight_stops_rotors_and_time_begins_again() -> None:
     assert client.height_m < 0.05
     assert client.autopilot.parameters["MC_ROLL_P"] == 5.0
     client.advance(3.0)
-    assert client.command(400, 1) == [0]  # it is ready as after any start
+    assert client.command("COMPONENT_ARM_DISARM", 1) == [0]  # it is ready as after any start
 
 
 def test_reboot_of_ardupilot_boots_through_all_its_stages() -> None:
@@ -105,7 +105,7 @@ def test_reboot_of_ardupilot_boots_through_all_its_stages() -> None:
 # --- estimator ----------------------------------------------------------------------------------------------------
 def test_estimator_reset_jumps_counts_and_does_not_move_a_holding_vehicle() -> None:
     client = flying_px4()
-    client.command(176, 1, 4, 3)  # HOLD
+    client.set_mode(Px4Mode.LOITER)  # HOLD
     client.advance(1.0)
     before = client.last("ODOMETRY")
     truth = client.autopilot.core.state[:3].copy()
@@ -123,7 +123,7 @@ def test_estimator_reset_jumps_counts_and_does_not_move_a_holding_vehicle() -> N
 
 def test_estimator_reset_of_ardupilot_is_taken_along_too() -> None:
     client = flying_ardupilot("LOCAL_POSITION_NED")
-    assert client.command(176, 1, ArduMode.BRAKE.custom_mode) == [0]
+    assert client.command("DO_SET_MODE", 1, ArduMode.BRAKE.custom_mode) == [0]
     client.advance(2.0)
     before = client.last("LOCAL_POSITION_NED")
     truth = client.autopilot.core.state[:3].copy()
@@ -320,7 +320,7 @@ def test_kill_switch_stops_the_rotors_while_armed_and_px4_disarms_later() -> Non
     assert client.height_m < 0.1
     stay(client, 5.0)
     assert not client.last("HEARTBEAT").base_mode & 128
-    assert client.command(400, 1) == [1]
+    assert client.command("COMPONENT_ARM_DISARM", 1) == [1]
 
 
 def test_a_short_kill_lets_the_vehicle_go_on() -> None:

@@ -104,7 +104,7 @@ def test_px4_may_be_told_only_to_warn_and_may_be_taken_back() -> None:
     inject(client, "battery_critical", remaining=0.06, for_s=8.0)
     stay(client, 6.0)
     assert px4_mode(client) is Px4Mode.RTL
-    assert client.command(176, 1, 6) == [0, 0]
+    assert client.set_mode(Px4Mode.OFFBOARD) == [0, 0]
     stay(client, 1.1)
     assert px4_mode(client) is Px4Mode.OFFBOARD
     stay(client, 2.5)
@@ -125,8 +125,8 @@ def test_battery_failsafe_of_ardupilot_after_its_timer() -> None:
     assert client.autopilot.state.mode is ArduMode.LAND
     client.advance(20.0)
     assert not client.autopilot.armed
-    assert client.command(176, 1, ArduMode.GUIDED.custom_mode) == [0]
-    assert client.command(400, 1) == [4]
+    assert client.command("DO_SET_MODE", 1, ArduMode.GUIDED.custom_mode) == [0]
+    assert client.command("COMPONENT_ARM_DISARM", 1) == [4]
     client.advance(0.1)
     assert texts(client)[-2:] == ["Arm: Battery 1 low voltage failsafe", "Arm: Battery failsafe"]
 

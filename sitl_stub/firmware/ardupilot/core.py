@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sitl_stub.firmware.ardupilot import layout as at
-from sitl_stub.firmware.ardupilot import loop as loop
+from sitl_stub.firmware.ardupilot import loop
 from sitl_stub.firmware.ardupilot.mixing import motor_factors
 from sitl_stub.firmware.common.vehicle_core import VehicleCore
 from sitl_stub.physics import estimator as belief
@@ -61,13 +61,9 @@ class ArduPilotCore(VehicleCore):
         """Take changed controller parameters into the running loops."""
         self.gains[:] = at.gains_from_parameters(parameters)
 
-    def advance_to(self, time_us: int) -> None:
-        """Run the loops up to `time_us` (rounded down to whole control periods; never back)."""
-        periods = (time_us - self.time_us) // CONTROL_PERIOD_US
-        if periods <= 0:
-            return
+    def fly(self, periods: int) -> None:
+        """Run the loops for so many control periods."""
         loop.fly(*(*self.fly_arguments(), periods))
-        self.time_us += periods * CONTROL_PERIOD_US
 
     def fly_arguments(self) -> tuple[Any, ...]:
         """All arguments of the compiled `fly` but the last (`periods`): arrays shared with this object, and constants."""

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from sitl_stub.firmware.ardupilot.commander import Commander
-from sitl_stub.firmware.ardupilot.guided import Guided
+from sitl_stub.firmware.ardupilot.guided import IGNORE_POSITION, IGNORE_YAW, Guided
 from sitl_stub.firmware.ardupilot.messages import STREAM_GROUPS
 from sitl_stub.firmware.ardupilot.modes import Mode
 from sitl_stub.firmware.ardupilot.state import ArduPilotState
@@ -36,6 +36,8 @@ SHORTEST_INTERVAL_MS = 3
 LONGEST_INTERVAL_US = 60_000_000
 PWM_MIDDLE, PWM_HALF, PWM_LEAST, PWM_RANGE = 1500.0, 500.0, 1000.0, 1000.0
 FASTEST_M_S = 100.0
+ABOVE_HOME_FRAMES = (3, 6, 10, 11)
+"""MAV_FRAME_GLOBAL_RELATIVE_ALT, ..._RELATIVE_ALT_INT, GLOBAL_TERRAIN_ALT, ..._TERRAIN_ALT_INT."""
 
 
 class ArduPilotProtocol:
@@ -240,12 +242,12 @@ class ArduPilotProtocol:
     def _global_target(self, link: Link, message: Received) -> None:
         a = self.state
         v = message.values
-        if a.mode is not Mode.GUIDED or v["type_mask"] & 0b111:
+        if a.mode is not Mode.GUIDED or v["type_mask"] & IGNORE_POSITION:
             return
         north, east = a.origin.local(v["lat_int"] * 1e-7, v["lon_int"] * 1e-7)
-        above_home = v["coordinate_frame"] in (3, 6, 10, 11)
+        above_home = v["coordinate_frame"] in ABOVE_HOME_FRAMES
         height = float(v["alt"]) - (float(a.home_ned[2]) if above_home else a.origin.altitude_m)
-        heading = None if v["type_mask"] & (1 << 10) else float(v["yaw"])
+        heading = None if v["type_mask"] & IGNORE_YAW else float(v["yaw"])
         known = is_place(v["lat_int"] * 1e-7, v["lon_int"] * 1e-7, float(v["alt"]))
         if known and (heading is None or math.isfinite(heading)):
             self.guided.go_to((north, east, height), heading)

@@ -64,6 +64,13 @@ class VehicleCore:
 
     def advance_to(self, time_us: int) -> None:
         """Run the loops up to `time_us` (rounded down to whole control periods; never back)."""
+        periods = (time_us - self.time_us) // self.control_period_us
+        if periods > 0:
+            self.fly(periods)
+            self.time_us += periods * self.control_period_us
+
+    def fly(self, periods: int) -> None:
+        """Run the loops for so many control periods."""
         raise NotImplementedError
 
     # --- what the autopilot believes ---------------------------------------------------------------------------
