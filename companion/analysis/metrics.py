@@ -134,11 +134,10 @@ def how_it_ended(record: FlightRecord) -> str:
 
 def _losses(record: FlightRecord) -> list[str]:
     """Say what the log itself says that it misses."""
-    counts = dict(record.metadata.get("log", {}))
-    for event in record.events_of("log"):  # a cut log has no closing account
-        for name in ("dropped", "rejected", "lost"):
-            counts.setdefault(name, str(event.fields.get(name, 0)))
-    missing = sum(int(_number(counts.get(name)) or 0) for name in ("dropped", "rejected", "lost"))
+    counts: dict[str, Any] = dict(record.metadata.get("log", {}))
+    if not counts and (accounts := record.events_of("log")):  # a cut log has no closing account
+        counts = accounts[-1].fields  # each counts from the log's beginning
+    missing = sum(int(_number(str(counts.get(name, 0))) or 0) for name in ("dropped", "rejected", "lost"))
     return (
         [f"the log misses {missing} records: {counts.get('trouble') or 'see its events'}"] if missing else []
     )

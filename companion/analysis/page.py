@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import base64
+import errno
 import io
 import os
+import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TEMPLATE = Path(__file__).with_name("report.html")
+LARGEST_PAGE_BYTES = 8 << 20
 MISSING = "the HTML report needs matplotlib and jinja2: pip install 'dtlannc-companion[report]'"
 
 
@@ -69,17 +72,36 @@ class Page:
         names = ("title", "subtitle", "notes", "tables", "groups", "events", "facts", "files")
         html = template.render({name: getattr(self, name) for name in names})
         try:
+            Path(path).parent.mkdir(parents=True, exist_ok=True)
             Path(path).write_text(html, encoding="utf-8")
         except OSError as error:
             raise UserError(f"cannot write the report {path}: {error.strerror or error}") from error
+
+
+def check_room(path: str | os.PathLike[str]) -> None:
+    """Raise UserError where a page could not be written to `path` later; makes the folder, leaves no file."""
+    require_report_extra()
+    path = Path(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, "it is a folder")
+        if path.exists():
+            path.open("ab").close()
+        with tempfile.TemporaryFile(dir=path.parent) as file:
+            file.write(bytes(LARGEST_PAGE_BYTES))
+    except OSError as error:
+        raise UserError(
+            f"cannot write the report {path}: {error.strerror or error}; choose another file with --report"
+        ) from error
 
 
 def require_report_extra() -> Any:
     """Return jinja2. Raises UserError with the remedy when it or matplotlib is not installed."""
     try:
         import jinja2
-        import matplotlib  # noqa: F401
-    except ImportError as error:
+        import matplotlib.figure  # noqa: F401  an installation that is not whole fails here
+    except Exception as error:
         raise UserError(MISSING) from error
     return jinja2
 

@@ -6,11 +6,7 @@ import argparse
 import json
 from typing import Any
 
-from rich.console import Console
-
-from companion.analysis.metrics import flight_metrics
-from companion.analysis.table import flight_table
-from companion.flightlog.reader import read_log
+from companion.cli.fly import told_report
 
 EXAMPLE = """examples:
   companion analyze flights/flight.mcap
@@ -59,17 +55,26 @@ def add_window(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Analyze and print. Raises UserError for what is no log or a window outside the tracking."""
+    from companion.analysis.metrics import flight_metrics
+    from companion.flightlog.reader import read_log
+
     record = read_log(arguments.log)
     metrics, tracking = flight_metrics(record, arguments.from_s, arguments.to_s)
-    if arguments.report:
+    report, code = arguments.report, 0
+    if report:
         from companion.analysis.report import write_flight_report  # matplotlib takes its time to load
 
-        write_flight_report(record, metrics, tracking, arguments.report)
+        if not told_report(lambda: write_flight_report(record, metrics, tracking, arguments.report)):
+            report, code = None, 2
     if arguments.json:
         print(json.dumps(metrics.to_json(), indent=2, ensure_ascii=False, allow_nan=False))
-        return 0
+        return code
+    from rich.console import Console
+
+    from companion.analysis.table import flight_table
+
     console = Console()
     console.print(flight_table(metrics))
-    if arguments.report:
-        console.print(f"report: {arguments.report}", soft_wrap=True, highlight=False)
-    return 0
+    if report:
+        console.print(f"report: {report}", soft_wrap=True, highlight=False)
+    return code

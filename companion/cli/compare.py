@@ -14,7 +14,14 @@ from pathlib import Path
 from typing import Any
 
 from companion.cli.analyze import add_window
-from companion.cli.fly import add_flight_options, default_log_path, fly_once
+from companion.cli.fly import (
+    add_flight_options,
+    claim,
+    default_log_path,
+    fly_once,
+    prepare_report,
+    told_report,
+)
 from companion.config.errors import UserError
 
 EPILOG = """examples:
@@ -59,6 +66,8 @@ def run(arguments: argparse.Namespace) -> int:
     if not flies:
         show_comparison(arguments.logs, arguments.from_s, arguments.to_s, arguments.json, arguments.report)
         return 0
+    if arguments.report:
+        prepare_report(arguments.report)
     logs, code = _fly_all(arguments)
     if logs:
         show_comparison(logs, arguments.from_s, arguments.to_s, arguments.json, arguments.report)
@@ -73,7 +82,10 @@ def _fly_all(arguments: argparse.Namespace) -> tuple[list[Path], int]:
     """
     controllers = [name.strip() for name in arguments.controllers.split(",") if name.strip()]
     seeds = parse_seeds(arguments.seeds)
-    folder = Path(arguments.folder or default_log_path("compare", arguments.level).with_suffix(""))
+    if arguments.folder:
+        folder = Path(arguments.folder)
+    else:
+        folder = claim(default_log_path("compare", arguments.level).with_suffix(""), Path.mkdir)
     flights = [(seed, controller) for seed in seeds for controller in controllers]
     logs: list[Path] = []
     for number, (seed, controller) in enumerate(flights, start=1):
@@ -121,7 +133,9 @@ def show_comparison(
     if report is not None:
         from companion.analysis.report import write_comparison_report  # matplotlib takes its time to load
 
-        write_comparison_report(comparison, report)
+        written = report
+        if not told_report(lambda: write_comparison_report(comparison, written)):
+            report = None
     if as_json:
         print(json.dumps(comparison.to_json(), indent=2, ensure_ascii=False, allow_nan=False))
         return

@@ -6,9 +6,6 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from companion.flightlog.reader import read_log
-from companion.flightlog.tlog import export_tlog
-
 EXAMPLE = """example:
   companion export flights/flight.mcap -o flight.tlog
 """
@@ -33,6 +30,9 @@ def add_parser(subparsers: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Export and say how much. Raises UserError for what is no log or holds no MAVLink."""
+    from companion.flightlog.reader import read_log
+    from companion.flightlog.tlog import export_tlog
+
     record = read_log(arguments.log)
     output = Path(arguments.output) if arguments.output else record.path.with_suffix(".tlog")
     directions = ("in", "out") if arguments.direction == "both" else (arguments.direction,)

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import argparse
 import datetime
+import itertools
 import json
+import os
 import shlex
 import sys
-from contextlib import nullcontext
+from collections.abc import Callable
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -145,11 +148,20 @@ def run(arguments: argparse.Namespace) -> int:
     log_path = (
         Path(arguments.log) if arguments.log else default_log_path(arguments.controller, arguments.level)
     )
-    outcome, text, code = fly_once(
-        arguments, arguments.controller, arguments.seed, log_path, arguments.overwrite
-    )
-    print(f"{outcome}: {text}", file=sys.stderr)
+    claimed = not arguments.log
+    if claimed:
+        log_path = claim(log_path, lambda path: path.touch(exist_ok=False))
     report = _report_path(arguments.report, log_path)
+    try:
+        if report is not None:
+            prepare_report(report)
+        outcome, text, code = fly_once(
+            arguments, arguments.controller, arguments.seed, log_path, arguments.overwrite or claimed
+        )
+    finally:
+        if claimed and not log_path.stat().st_size:  # nothing was flown
+            log_path.unlink()
+    print(f"{outcome}: {text}", file=sys.stderr)
     _show(log_path, report, arguments.json, outcome, text)
     return code
 
@@ -158,6 +170,47 @@ def default_log_path(controller: str, level: str) -> Path:
     """A new file below `flights/`, named by UTC time, law and level."""
     now = datetime.datetime.now(datetime.UTC)
     return Path("flights") / f"{now:%Y%m%d-%H%M%S}-{controller}-{level}.mcap"
+
+
+def claim(path: Path, make: Callable[[Path], object]) -> Path:
+    """`path`, or that with -2, -3 … before its ending where another flight of the same second has it; made by `make`.
+
+    `make` raises FileExistsError for what is there. Raises UserError where nothing can be made.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        for number in itertools.count(1):
+            free = path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
+            with suppress(FileExistsError):
+                make(free)
+                return free
+    except OSError as error:
+        raise UserError(
+            f"cannot write in the folder {path.parent}: {error.strerror or error}; choose another one with --log"
+        ) from None
+    raise AssertionError
+
+
+def prepare_report(path: str | os.PathLike[str]) -> None:
+    """Make sure before a flight that its report can be made and written; a folder that is not there is made.
+
+    Raises UserError with the remedy.
+    """
+    from companion.analysis.page import check_room
+
+    check_room(path)
+
+
+def told_report(write: Callable[[], None]) -> bool:
+    """Write a report after a flight; what goes wrong is said, and costs neither results nor exit code."""
+    try:
+        write()
+        return True
+    except (
+        Exception
+    ) as error:  # whatever a library or a disk may raise: the flight is over and its result stands
+        print(f"no report: {error}", file=sys.stderr)
+        return False
 
 
 def fly_once(
@@ -236,7 +289,9 @@ def _show(log_path: Path, report: Path | None, as_json: bool, outcome: str, text
     if report is not None:
         from companion.analysis.report import write_flight_report
 
-        write_flight_report(record, metrics, tracking, report)
+        written = report
+        if not told_report(lambda: write_flight_report(record, metrics, tracking, written)):
+            report = None
     if as_json:
         body = {**metrics.to_json(), "text": text, "log": str(log_path)}
         if report is not None:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from companion.flightlog.recovery import recover
-
 EXAMPLE = """example:
   companion recover flights/crash.mcap -o flights/crash-whole.mcap
 
@@ -30,6 +28,8 @@ def add_parser(subparsers: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Recover and say what was saved. Raises UserError for what is no log."""
+    from companion.flightlog.recovery import recover
+
     saved = recover(arguments.log, arguments.output)
     state = saved.cut or "the file was whole"
     print(f"{state}: saved {saved.messages} records over {saved.seconds:.2f} s in {saved.output}")

@@ -6,9 +6,6 @@ import argparse
 import json
 from typing import Any
 
-from companion.analysis.replay import replay
-from companion.flightlog.reader import read_log
-
 EXAMPLE = """example:
   companion replay flights/flight.mcap
 
@@ -32,6 +29,9 @@ def add_parser(subparsers: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Replay and say what came out. Raises UserError where the log does not hold what a replay needs."""
+    from companion.analysis.replay import replay
+    from companion.flightlog.reader import read_log
+
     found = replay(read_log(arguments.log))
     if arguments.json:
         mismatches = [

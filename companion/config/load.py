@@ -6,6 +6,7 @@ Overrides are dotted keys, `limits.tilt_max_deg=30`; a key that does not exist i
 from __future__ import annotations
 
 import difflib
+import re
 import tomllib
 import typing
 from collections.abc import Iterable, Mapping
@@ -16,6 +17,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from companion.config.errors import UserError
+from companion.config.foreign_files import known_foreign
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -44,6 +46,10 @@ def find_profile(name: str) -> Path:
         return Path(name)
     if name in shipped_profiles():
         return Path(str(resources.files("companion.config") / "profiles" / f"{name}.toml"))
+    if (foreign := known_foreign(Path(name))) is not None:
+        raise UserError(
+            f"{name} is no vehicle profile: {foreign}; a profile is a .toml file, see docs/real_px4.md"
+        )
     raise UserError(
         f"there is no profile {name!r}{nearest(name, shipped_profiles())}; shipped are "
         f"{', '.join(shipped_profiles())}, or give the path of a .toml file"
@@ -56,8 +62,13 @@ def nearest(word: str, known: Iterable[str]) -> str:
     return f" (did you mean {close[0]!r}?)" if close else ""
 
 
-def validated(model: type[Model], values: Mapping[str, Any], origin: str) -> Model:
-    """`values` as a `model`. Raises UserError with all that is wrong, a line each; `origin` names the file."""
+def validated(
+    model: type[Model], values: Mapping[str, Any], origin: str, overrides: Mapping[str, str] | None = None
+) -> Model:
+    """`values` as a `model`. Raises UserError with all that is wrong, a line each; `origin` names the file.
+
+    `overrides` has the text of each `--set` by its key below the model: what is wrong there is its mistake.
+    """
     try:
         return model.model_validate(dict(values))
     except ValidationError as failure:
@@ -70,11 +81,32 @@ def validated(model: type[Model], values: Mapping[str, Any], origin: str) -> Mod
             if error["type"] != "too_short"
             or not any(place[: len(error["loc"])] == error["loc"] != place for place in places)
         ]
+        parts = [[str(part) for part in place] for place in places]
+        set_wrong = [
+            text
+            for key, text in (overrides or {}).items()
+            if any(_reaches(key.split("."), place) for place in parts)
+        ]
+        if overrides and any(
+            not any(_reaches(key.split("."), place) for key in overrides) for place in parts
+        ):  # a rule between several values, or the file's own mistake beside it
+            origin = f"{origin} with {' and '.join(f'--set {text}' for text in overrides.values())}"
+        elif set_wrong:
+            origin = " and ".join(f"--set {text}" for text in set_wrong)
+        if set_wrong:
+            commas = any(re.search(r"=\s*-?\d+,\d+\s*$", text) for text in set_wrong)
+            lines[-1] += "; write a decimal point, not a comma" if commas else ""
         if len(lines) == 1:
             raise UserError(f"{origin}: {lines[0]}") from None
         raise UserError(
             "\n".join([f"{origin}: {len(lines)} errors", *(f"  {line}" for line in lines)])
         ) from None
+
+
+def _reaches(key: list[str], place: list[str]) -> bool:
+    """Whether a mistake at `place` may come from setting `key`: one leads to the other."""
+    shared = min(len(key), len(place))
+    return shared > 0 and key[:shared] == place[:shared]
 
 
 def _explain(model: type[BaseModel], error: Any) -> str:

@@ -80,7 +80,8 @@ def load_profile(name: str, overrides: Sequence[str] = ()) -> VehicleProfile:
     path = find_profile(name)
     values = read_toml(path)
     parsed = [parse_override(text) for text in overrides]
-    return validated(VehicleProfile, apply_overrides(VehicleProfile, values, parsed), str(path))
+    texts = {".".join(key): text for (key, _), text in zip(parsed, overrides, strict=True)}
+    return validated(VehicleProfile, apply_overrides(VehicleProfile, values, parsed), str(path), texts)
 
 
 def select_gains(profile: VehicleProfile, controller: str, level: str) -> ControllerGains:
@@ -108,6 +109,7 @@ def load_settings(
     level that are flown, e.g. `gains.position_loop.K_U=[2, 2, 12]`. Raises UserError with all that is wrong.
     """
     rooms: dict[str, list[tuple[list[str], Any]]] = {"flight": [], "profile": [], "gains": []}
+    texts: dict[str, dict[str, str]] = {"flight": {}, "profile": {}, "gains": {}}
     given = tuple(overrides)
     for text in given:
         path, value = parse_override(text)
@@ -117,15 +119,21 @@ def load_settings(
                 f"{nearest(path[0], rooms)}, for example --set gains.position_loop.alpha=0.5"
             )
         rooms[path[0]].append((path[1:], value))
+        texts[path[0]][".".join(path[1:])] = text
     flown = validated(
-        FlightSettings, apply_overrides(FlightSettings, flight or {}, rooms["flight"]), "flight settings"
+        FlightSettings,
+        apply_overrides(FlightSettings, flight or {}, rooms["flight"]),
+        "flight settings",
+        texts["flight"],
     )
     path = find_profile(profile)
     values = apply_overrides(VehicleProfile, read_toml(path), rooms["profile"])
-    vehicle = validated(VehicleProfile, values, str(path))
+    vehicle = validated(VehicleProfile, values, str(path), texts["profile"])
     gains = select_gains(vehicle, flown.controller, flown.level)
     changed = apply_overrides(ControllerGains, gains.model_dump(), rooms["gains"])
-    gains = validated(ControllerGains, changed, f"gains of {flown.controller} at level {flown.level}")
+    gains = validated(
+        ControllerGains, changed, f"gains of {flown.controller} at level {flown.level}", texts["gains"]
+    )
     return Settings(flown, vehicle, gains, given)
 
 

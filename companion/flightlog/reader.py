@@ -24,6 +24,7 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from companion.config.errors import UserError
+from companion.config.foreign_files import kind_of_file
 from companion.flightlog import events
 from companion.flightlog.channels import CDR_HEADER, TIME_FIELD, FieldSpec, parse_definition
 from companion.flightlog.mcap_file import MAGIC
@@ -204,7 +205,7 @@ def read_raw(path: str | os.PathLike[str]) -> RawLog:
     if not data.startswith(MAGIC):
         if MAGIC.startswith(data):  # cut within its first bytes
             raise UserError(f"{path} is empty: the flight ended before anything was logged")
-        raise UserError(f"{path} is not a flight log: it does not begin as an MCAP file does")
+        raise UserError(f"{path} is not a flight log: {kind_of_file(path, data)}")
     reader = _RawReader()
     cut = reader.read_records(memoryview(data)[len(MAGIC) :])
     if not reader.saw_header:
@@ -271,7 +272,8 @@ class _RawReader:
             self.metadata.append((metadata.name, metadata.metadata))
         elif opcode == Opcode.ATTACHMENT:
             attachment = layout.Attachment.read(_stream(body))
-            if zlib.crc32(body[:-4]) != int.from_bytes(body[-4:], "little"):
+            given = int.from_bytes(body[-4:], "little")
+            if given and zlib.crc32(body[:-4]) != given:  # MCAP: 0 where the writer made none
                 raise ValueError(f"checksum of attachment {attachment.name}")
             self.attachments.append(attachment)
 

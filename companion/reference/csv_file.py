@@ -3,38 +3,40 @@
 Columns: `t, x, y, z` in s and m, increasing in t; optionally `yaw` (rad) or `yaw_deg`; optionally all of
 `vx, vy, vz` (m/s), which are then met exactly; optionally `yaw_rate` (rad/s). The curve goes through every
 row with the least integral of squared snap, continuous through the 6th derivative (the 5th where
-velocities are given).
+velocities are given). A header that begins with `duration` is one of polynomial pieces, flown as they are.
 """
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
 
 from companion.config.errors import UserError
-from companion.reference.spline import Spline, minimum_snap_derivatives, spline_through
-from companion.reference.table_file import Table, read_table
+from companion.reference.polynomial import ORDER
+from companion.reference.spline import Spline, minimum_snap_derivatives, spline_of, spline_through
+from companion.reference.table_file import Table, read_table, read_text
 
 SHORTEST_STEP_S = 1e-3  # rows closer than that are noise: their differences are no velocities
 LEAST_ROWS = 5  # fewer leave a 7th-order curve undetermined, and are waypoints rather than samples
-_ALIASES = {
-    "t": "t",
-    "time_s": "t",
-    "x": "x",
-    "x_m": "x",
-    "y": "y",
-    "y_m": "y",
-    "z": "z",
-    "z_m": "z",
-    "yaw": "yaw",
-    "yaw_rad": "yaw",
-    "yaw_deg": "yaw_deg",
-    "vx": "vx",
-    "vy": "vy",
-    "vz": "vz",
-    "yaw_rate": "yaw_rate",
-}
+_ALIASES = (
+    dict.fromkeys(("t", "time", "time_s", "t_s", "timestamp_s", "time_sec", "seconds"), "t")
+    | {
+        spelled: axis
+        for axis in "xyz"
+        for spelled in (axis, f"{axis}_m", f"p{axis}", f"p_{axis}", f"pos_{axis}", f"position_{axis}")
+    }
+    | {
+        spelled: f"v{axis}"
+        for axis in "xyz"
+        for spelled in (f"v{axis}", f"v_{axis}", f"vel_{axis}", f"velocity_{axis}", f"{axis}_dot")
+    }
+    | dict.fromkeys(("yaw", "yaw_rad", "psi"), "yaw")
+    | dict.fromkeys(("yaw_deg", "psi_deg"), "yaw_deg")
+    | dict.fromkeys(("yaw_rate", "yaw_rate_rad_s", "yawrate", "yaw_dot"), "yaw_rate")
+)
+_POWERS = tuple(f"{axis}^{power}" for axis in ("x", "y", "z", "yaw") for power in range(ORDER + 1))
 _VELOCITY = ("vx", "vy", "vz")
 
 
@@ -45,6 +47,9 @@ def csv_trajectory(path: Path, speed: float = 1.0) -> Spline:
     """
     if not speed > 0.0:
         raise UserError(f"{path}: speed is {speed:g}; it has to be above 0")
+    header = next((line for line in read_text(path).splitlines() if line.strip(" \t#")), "")
+    if header.strip(' \t#"').lower().startswith("duration"):
+        return _polynomial_trajectory(path, speed)
     table = read_table(path, _ALIASES, required=("t", "x", "y", "z"))
     times = table.columns["t"]
     if times.size < LEAST_ROWS:
@@ -81,6 +86,30 @@ def csv_trajectory(path: Path, speed: float = 1.0) -> Spline:
     if not (np.isfinite(motion).all() and np.isfinite(turning).all()):
         raise UserError(f"{path}: time steps differ too much to draw a smooth curve; sample it evenly")
     return spline_through(times, np.concatenate([motion, turning], axis=2))
+
+
+def _polynomial_trajectory(path: Path, speed: float) -> Spline:
+    """Pieces as swarm planners write them: `duration`, then x^0 … x^7, y^0 …, z^0 …, yaw^0 … in powers of seconds."""
+    names = ("duration", *_POWERS)
+    table = read_table(path, {name: name for name in names}, names)
+    lengths = table.columns["duration"]
+    if not lengths.size:
+        raise UserError(f"{path}: holds no piece")
+    short = np.flatnonzero(lengths / speed < SHORTEST_STEP_S)
+    if short.size:
+        raise UserError(
+            f"{table.place(int(short[0]))}: lasts {lengths[short[0]]:g} s; a piece lasts {SHORTEST_STEP_S:g} s or more"
+        )
+    coefficients = table.stacked(_POWERS).reshape(-1, 4, ORDER + 1)
+    coefficients = coefficients * lengths[:, None, None] ** np.arange(
+        ORDER + 1.0
+    )  # in powers of t / duration
+    for i in range(1, len(coefficients)):  # yaw runs on where a planner lets it jump by a turn
+        jump = coefficients[i - 1, 3].sum() - coefficients[i, 3, 0]
+        coefficients[i, 3, 0] += math.tau * round(jump / math.tau)
+    if not np.isfinite(coefficients).all():
+        raise UserError(f"{path}: its numbers are too large")
+    return spline_of(lengths / speed, coefficients)
 
 
 def check_times_increase(table: Table) -> None:

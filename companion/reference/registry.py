@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from companion.config.errors import UserError
+from companion.config.foreign_files import known_foreign
 from companion.reference.circle import Circle
 from companion.reference.csv_file import csv_trajectory
 from companion.reference.hold import Hold
@@ -51,6 +52,10 @@ def trajectory_from_text(text: str) -> Trajectory:
     name = name.strip()
     if name not in CATALOGUE:
         ending = Path(head).suffix.lower()
+        if (foreign := known_foreign(Path(head))) is not None:
+            raise UserError(
+                f"{head} is no trajectory: {foreign}; see docs/trajectories.md for what can be flown"
+            )
         if ending not in _BY_ENDING:
             raise UserError(_unknown_name(text, name))
         name, colon, file = _BY_ENDING[ending], ":", head

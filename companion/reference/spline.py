@@ -120,6 +120,12 @@ def spline_through(times_s: Vector, derivatives: Vector) -> Spline:
     powers = (lengths[:, None] ** np.arange(4.0))[:, :, None]
     boundary = np.concatenate([derivatives[:-1] * powers, derivatives[1:] * powers], axis=1)
     coefficients = np.swapaxes(FROM_BOUNDARY @ boundary, 1, 2)  # (n-1, 4, 8)
+    return spline_of(lengths, coefficients)
+
+
+def spline_of(lengths: Vector, coefficients: Vector) -> Spline:
+    """Return the spline of pieces `lengths` (n,) s long; `coefficients` (n, 4, 8) in ascending powers of t / length."""
+    knots = np.concatenate([[0.0], np.cumsum(lengths)])
     tables = np.concatenate(
         [coefficients @ DERIVATIVE[k].T / (lengths**k)[:, None, None] for k in range(5)], axis=1
     )

@@ -6,10 +6,14 @@ its own: the two programs share nothing but the wire.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import os
 import re
+import stat
+import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -36,11 +40,56 @@ def _file(source: Path) -> tuple[bytes, frozenset[Path]]:
     return hashlib.sha256(text).digest(), frozenset(imported)
 
 
-def _cache_folder(source: Path) -> str:
+@functools.cache
+def _cache_root(wish: str) -> Path | None:
+    """`wish` where files can be made in it, else a temporary folder of this user's and a line that says so.
+
+    numba gives up where it finds no place ("no locator available"): a home or a tree that is read-only, a user without
+    a home, a full disk. None where there is no temporary folder either: then nothing is kept.
+    """
+    if _takes_files(wish):
+        return Path(wish)
+    place = None
+    with contextlib.suppress(OSError):
+        place = Path(tempfile.gettempdir()) / f"sitl-stub-{os.getuid()}"
+        with contextlib.suppress(FileExistsError):
+            place.mkdir(mode=0o700)
+        found = place.lstat()
+        # numba runs what it finds there: a folder that others can write is not ours to believe
+        if not (stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o022):
+            place = Path(tempfile.mkdtemp(prefix="sitl-stub-"))
+        if not _takes_files(str(place)):
+            place = None
+    kept = f"is kept in {place} for now" if place else "is compiled anew every time"
+    with contextlib.suppress(OSError):
+        print(
+            f"warning: {wish} cannot be written, so machine code {kept}; "
+            "set XDG_CACHE_HOME or NUMBA_CACHE_DIR to a folder that can",
+            file=sys.stderr,
+        )
+    return place
+
+
+def _takes_files(folder: str) -> bool:
+    try:
+        if folder.startswith("~"):  # nobody's home
+            return False
+        os.makedirs(folder, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder) as file:
+            file.write(bytes(1 << 16))  # a full disk makes files, but takes nothing
+        return True
+    except OSError:
+        return False
+
+
+def _cache_folder(source: Path) -> str | None:
     """Where machine code of functions in `source` is kept: a place for each state of it and of all it imports.
 
     numba notices a change in the file of a cached function, but not in the files of what it calls.
     """
+    if numba_config.CACHE_DIR:  # NUMBA_CACHE_DIR, where the user set it
+        root = _cache_root(numba_config.CACHE_DIR)
+        return str(root) if root else None
     waiting, reached = [source], {source}
     while waiting:
         new = _file(waiting.pop())[1] - reached
@@ -49,8 +98,9 @@ def _cache_folder(source: Path) -> str:
     digest = hashlib.sha256(numba.__version__.encode())
     for one in sorted(reached):
         digest.update(_file(one)[0])
-    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    return str(Path(base) / "sitl-stub" / "numba" / digest.hexdigest()[:16])
+    base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    root = _cache_root(os.path.join(base, "sitl-stub", "numba"))
+    return str(root / digest.hexdigest()[:16]) if root else None
 
 
 def compiled(function: F) -> F:
@@ -64,10 +114,11 @@ def compiled_for_threads(function: F) -> F:
 
 
 def _jit(function: F, **options: Any) -> F:
-    elsewhere = numba_config.CACHE_DIR  # NUMBA_CACHE_DIR, where the user set it
-    numba_config.CACHE_DIR = elsewhere or _cache_folder(Path(function.__code__.co_filename))
+    elsewhere = numba_config.CACHE_DIR
+    place = _cache_folder(Path(function.__code__.co_filename))
+    numba_config.CACHE_DIR = place or elsewhere
     try:
-        jit = numba.njit(cache=True, fastmath=False, error_model="numpy", **options)
+        jit = numba.njit(cache=place is not None, fastmath=False, error_model="numpy", **options)
         return cast(F, jit(function))
     finally:
         numba_config.CACHE_DIR = elsewhere

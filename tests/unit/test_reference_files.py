@@ -140,8 +140,10 @@ def test_csv_velocities_are_met(tmp_path: Path) -> None:
         ("t,x,y,z\n", ("0 rows", "at least 5")),
         (samples(n=4), ("4 rows", "at least 5", "waypoints:FILE")),
         ("t,x,y\n0,1,2\n", (":1:", "column z is missing")),
-        ("0,0,0,1\n1,0,0,1\n", (":1:", "unknown column '0'")),
-        (samples("t,x,y,zz"), (":1:", "unknown column 'zz'", "did you mean")),
+        ("0,0,0,1\n1,0,0,1\n", (":1:", "no header", "t,x,y,z")),
+        (samples("t,x,y,zz"), (":1:", "column z is missing", "zz")),
+        (samples("t,x,y,z,yaw_dg"), (":1:", "unknown column 'yaw_dg'", "did you mean")),
+        ("t,x,y,z\n" + "".join(f"{17 + i}e17,0,0,1\n" for i in range(6)), (":2:", "ns", "seconds")),
         (samples("t,x,y,t"), (":1:", "twice")),
         (samples() + "4,nan,0,1\n", (":10:", "column x", "nan", "finite")),
         (samples() + "4,inf,0,1\n", (":10:", "column x", "inf")),
@@ -168,6 +170,62 @@ def test_mistakes_in_a_csv_file(tmp_path: Path, text: str | bytes, parts: tuple[
     assert str(path) in str(error.value)
     for part in parts:
         assert part in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("header", "row"),
+    [
+        ("t,x,y,z", "{t},{x},0,1"),
+        ("# t,x,y,z", "{t},{x},0,1"),
+        ("# t x y z", "{t:.18e} {x:.18e} 0 1"),
+        ("Time [s];pos_x [m];pos_y [m];pos_z [m]", "{t};{x};0;1"),
+        ("time\tpx\tpy\tpz", "{t}\t{x}\t0\t1"),
+        ("t,x,y,z,ax,battery", "{t},{x},0,1,9,fine"),
+        ("t,x,y,z,", "{t},{x},0,1,"),
+    ],
+)
+@pytest.mark.parametrize("start", [0.0, 1_764_540_000.0], ids=["from 0", "since 1970"])
+def test_tables_of_other_tools(tmp_path: Path, header: str, row: str, start: float) -> None:
+    rows = [row.format(t=start + 0.5 * i, x=0.25 * i) for i in range(8)]
+    path = write(tmp_path, "other.csv", "\n".join([header, *rows]))
+    trajectory = trajectory_from_text(str(path))
+    assert trajectory.duration_s == pytest.approx(3.5)
+    np.testing.assert_allclose(trajectory.sample(1.25).position_enu, [0.625, 0.0, 1.0], atol=1e-6)
+
+
+def test_decimal_commas_between_semicolons(tmp_path: Path) -> None:
+    text = "t;x;y;z\n" + "".join(f"{i},5;0,{i};0;1\n" for i in range(6))
+    trajectory = trajectory_from_text(str(write(tmp_path, "a.csv", text)))
+    assert trajectory.sample(3.0).position_enu[0] == pytest.approx(0.3)
+
+
+def test_columns_passed_over_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = "t,x,y,z,battery\n" + "".join(f"{i},0,0,1,full\n" for i in range(6))
+    for _ in range(2):
+        trajectory_from_text(str(write(tmp_path, "a.csv", text)))
+    assert capsys.readouterr().err.count("passed over: column battery") == 1
+
+
+def test_polynomial_pieces_are_flown_as_they_are(tmp_path: Path) -> None:
+    """x = t² then 4 + 4t; y and z of 7th order; yaw a turn off at the seam."""
+    names = [f"{axis}^{n}" for axis in ("x", "y", "z", "yaw") for n in range(8)]
+    first = [2.0, 0, 0, 1, *[0] * 5, *[0] * 7, 0.001, 1, *[0] * 7, 3, 0.1, *[0] * 6]
+    second = [1.0, 4, 4, *[0] * 6, 0.128, *[0] * 7, 1, *[0] * 7, 3.2 - math.tau, *[0] * 7]
+    text = (
+        ",".join(["Duration", *names]) + "\n" + "".join(",".join(map(str, r)) + "\n" for r in (first, second))
+    )
+    path = write(tmp_path, "piece.csv", text)
+    trajectory = trajectory_from_text(str(path))
+    assert trajectory.duration_s == 3.0
+    at = trajectory.sample(1.5)
+    np.testing.assert_allclose(at.position_enu, [2.25, 0.001 * 1.5**7, 1.0], rtol=1e-12)
+    np.testing.assert_allclose(at.velocity_enu, [3.0, 0.007 * 1.5**6, 0.0], rtol=1e-12)
+    np.testing.assert_allclose(at.snap_enu, [0.0, 0.84 * 1.5**3, 0.0], atol=1e-12)
+    assert at.yaw_rad == pytest.approx(3.15) and trajectory.sample(2.5).yaw_rad == pytest.approx(3.2)
+    np.testing.assert_allclose(trajectory.sample(2.5).position_enu, [6.0, 0.128, 1.0], rtol=1e-12)
+    slow = trajectory_from_text(f"csv:{path},speed=0.5")
+    assert slow.duration_s == 6.0
+    np.testing.assert_allclose(slow.sample(3.0).velocity_enu[0], 1.5, rtol=1e-12)
 
 
 def test_a_folder_is_no_file(tmp_path: Path) -> None:
