@@ -36,43 +36,6 @@ from sitl_stub.physics.compiled import compiled
 
 FloatArray = NDArray[np.float64]
 
-ANGLE_P = at.ANGLE_P
-ACCEL_MAX = at.ACCEL_MAX
-RATE_MAX = at.RATE_MAX
-INPUT_TC = at.INPUT_TC
-FEED_FORWARD = at.FEED_FORWARD
-RATE_P = at.RATE_P
-RATE_I = at.RATE_I
-RATE_D = at.RATE_D
-RATE_FF = at.RATE_FF
-RATE_IMAX = at.RATE_IMAX
-RATE_FLTT = at.RATE_FLTT
-RATE_FLTE = at.RATE_FLTE
-RATE_FLTD = at.RATE_FLTD
-GYRO_CUTOFF_HZ = at.GYRO_CUTOFF_HZ
-SLEW_YAW = at.SLEW_YAW
-TARGET = at.TARGET
-TARGET_RATES = at.TARGET_RATES
-OUT_RATES = at.OUT_RATES
-PID_TARGET = at.PID_TARGET
-PID_ERROR = at.PID_ERROR
-PID_SLOPE = at.PID_SLOPE
-PID_INTEGRAL = at.PID_INTEGRAL
-PID_STARTED = at.PID_STARTED
-GYRO = at.GYRO
-GYRO_DELAY_1 = at.GYRO_DELAY_1
-GYRO_DELAY_2 = at.GYRO_DELAY_2
-OUT_TORQUE = at.OUT_TORQUE
-LIMIT_TORQUE = at.LIMIT_TORQUE
-THRUST_ANGLE = at.THRUST_ANGLE
-THRUST_ERROR_ANGLE = at.THRUST_ERROR_ANGLE
-SET_QUATERNION = at.QUATERNION
-SET_RATES = at.RATES
-SET_LEAN = at.LEAN
-SET_HEADING_RATE = at.HEADING_RATE
-SET_HEADING = at.HEADING
-SET_HEADING_KIND = at.HEADING_KIND
-HEADING_ANGLE = at.HEADING_ANGLE
 
 UP: Vector = (0.0, 0.0, -1.0)
 LARGE_ERROR = math.radians(30.0)
@@ -85,11 +48,11 @@ YAW_ACCEL = (math.radians(10.0), math.radians(120.0))
 
 @compiled
 def filter_gyro(gyro: FloatArray, gains: FloatArray, memory: FloatArray, dt_s: float) -> None:
-    """Second-order Butterworth at INS_GYRO_FILTER on the measured rates (3,), into memory[GYRO]."""
-    cutoff = gains[GYRO_CUTOFF_HZ]
+    """Second-order Butterworth at INS_GYRO_FILTER on the measured rates (3,), into memory[at.GYRO]."""
+    cutoff = gains[at.GYRO_CUTOFF_HZ]
     if cutoff <= 0.0:
         for i in range(3):
-            memory[GYRO + i] = gyro[i]
+            memory[at.GYRO + i] = gyro[i]
         return
     ohm = math.tan(math.pi * cutoff * dt_s)
     c = 1.0 + math.sqrt(2.0) * ohm + ohm * ohm
@@ -97,42 +60,44 @@ def filter_gyro(gyro: FloatArray, gains: FloatArray, memory: FloatArray, dt_s: f
     a1 = 2.0 * (ohm * ohm - 1.0) / c
     a2 = (1.0 - math.sqrt(2.0) * ohm + ohm * ohm) / c
     for i in range(3):
-        inner = gyro[i] - memory[GYRO_DELAY_1 + i] * a1 - memory[GYRO_DELAY_2 + i] * a2
-        memory[GYRO + i] = inner * b0 + memory[GYRO_DELAY_1 + i] * 2.0 * b0 + memory[GYRO_DELAY_2 + i] * b0
-        memory[GYRO_DELAY_2 + i] = memory[GYRO_DELAY_1 + i]
-        memory[GYRO_DELAY_1 + i] = inner
+        inner = gyro[i] - memory[at.GYRO_DELAY_1 + i] * a1 - memory[at.GYRO_DELAY_2 + i] * a2
+        memory[at.GYRO + i] = (
+            inner * b0 + memory[at.GYRO_DELAY_1 + i] * 2.0 * b0 + memory[at.GYRO_DELAY_2 + i] * b0
+        )
+        memory[at.GYRO_DELAY_2 + i] = memory[at.GYRO_DELAY_1 + i]
+        memory[at.GYRO_DELAY_1 + i] = inner
 
 
 @compiled
 def rates_to_torque(gains: FloatArray, memory: FloatArray, dt_s: float) -> None:
-    """Rate PIDs: memory[OUT_TORQUE] (−1..1) from memory[OUT_RATES] and the filtered gyro."""
-    started = memory[PID_STARTED] > 0.0
-    memory[PID_STARTED] = 1.0
+    """Rate PIDs: memory[at.OUT_TORQUE] (−1..1) from memory[at.OUT_RATES] and the filtered gyro."""
+    started = memory[at.PID_STARTED] > 0.0
+    memory[at.PID_STARTED] = 1.0
     for i in range(3):
-        wanted, measured = memory[OUT_RATES + i], memory[GYRO + i]
+        wanted, measured = memory[at.OUT_RATES + i], memory[at.GYRO + i]
         if started:
-            share = low_pass_share(gains[RATE_FLTT + i], dt_s)
-            memory[PID_TARGET + i] += share * (wanted - memory[PID_TARGET + i])
-            before = memory[PID_ERROR + i]
-            error = memory[PID_TARGET + i] - measured
-            memory[PID_ERROR + i] += low_pass_share(gains[RATE_FLTE + i], dt_s) * (error - before)
-            slope = (memory[PID_ERROR + i] - before) / dt_s
-            memory[PID_SLOPE + i] += low_pass_share(gains[RATE_FLTD + i], dt_s) * (
-                slope - memory[PID_SLOPE + i]
+            share = low_pass_share(gains[at.RATE_FLTT + i], dt_s)
+            memory[at.PID_TARGET + i] += share * (wanted - memory[at.PID_TARGET + i])
+            before = memory[at.PID_ERROR + i]
+            error = memory[at.PID_TARGET + i] - measured
+            memory[at.PID_ERROR + i] += low_pass_share(gains[at.RATE_FLTE + i], dt_s) * (error - before)
+            slope = (memory[at.PID_ERROR + i] - before) / dt_s
+            memory[at.PID_SLOPE + i] += low_pass_share(gains[at.RATE_FLTD + i], dt_s) * (
+                slope - memory[at.PID_SLOPE + i]
             )
         else:
-            memory[PID_TARGET + i] = wanted
-            memory[PID_ERROR + i] = wanted - measured
-            memory[PID_SLOPE + i] = 0.0
-        error = memory[PID_ERROR + i]
-        if memory[LIMIT_TORQUE + i] == 0.0 or memory[PID_INTEGRAL + i] * error < 0.0:
-            grown = memory[PID_INTEGRAL + i] + error * gains[RATE_I + i] * dt_s
-            memory[PID_INTEGRAL + i] = limited(grown, -gains[RATE_IMAX + i], gains[RATE_IMAX + i])
-        memory[OUT_TORQUE + i] = limited(
-            gains[RATE_P + i] * error
-            + gains[RATE_D + i] * memory[PID_SLOPE + i]
-            + memory[PID_INTEGRAL + i]
-            + gains[RATE_FF + i] * memory[PID_TARGET + i],
+            memory[at.PID_TARGET + i] = wanted
+            memory[at.PID_ERROR + i] = wanted - measured
+            memory[at.PID_SLOPE + i] = 0.0
+        error = memory[at.PID_ERROR + i]
+        if memory[at.LIMIT_TORQUE + i] == 0.0 or memory[at.PID_INTEGRAL + i] * error < 0.0:
+            grown = memory[at.PID_INTEGRAL + i] + error * gains[at.RATE_I + i] * dt_s
+            memory[at.PID_INTEGRAL + i] = limited(grown, -gains[at.RATE_IMAX + i], gains[at.RATE_IMAX + i])
+        memory[at.OUT_TORQUE + i] = limited(
+            gains[at.RATE_P + i] * error
+            + gains[at.RATE_D + i] * memory[at.PID_SLOPE + i]
+            + memory[at.PID_INTEGRAL + i]
+            + gains[at.RATE_FF + i] * memory[at.PID_TARGET + i],
             -1.0,
             1.0,
         )
@@ -141,16 +106,16 @@ def rates_to_torque(gains: FloatArray, memory: FloatArray, dt_s: float) -> None:
 @compiled
 def target_of(memory: FloatArray) -> Quaternion:
     """The attitude target."""
-    return memory[TARGET], memory[TARGET + 1], memory[TARGET + 2], memory[TARGET + 3]
+    return memory[at.TARGET], memory[at.TARGET + 1], memory[at.TARGET + 2], memory[at.TARGET + 3]
 
 
 @compiled
 def put_target(memory: FloatArray, q: Quaternion) -> None:
     """Replace the attitude target."""
-    memory[TARGET] = q[0]
-    memory[TARGET + 1] = q[1]
-    memory[TARGET + 2] = q[2]
-    memory[TARGET + 3] = q[3]
+    memory[at.TARGET] = q[0]
+    memory[at.TARGET + 1] = q[1]
+    memory[at.TARGET + 2] = q[2]
+    memory[at.TARGET + 3] = q[3]
 
 
 @compiled
@@ -158,9 +123,9 @@ def move_target(memory: FloatArray, dt_s: float) -> None:
     """Let the target turn with its own rate."""
     turn = from_rotation_vector(
         (
-            memory[TARGET_RATES] * dt_s,
-            memory[TARGET_RATES + 1] * dt_s,
-            memory[TARGET_RATES + 2] * dt_s,
+            memory[at.TARGET_RATES] * dt_s,
+            memory[at.TARGET_RATES + 1] * dt_s,
+            memory[at.TARGET_RATES + 2] * dt_s,
         )
     )
     put_target(memory, normalised(multiply(target_of(memory), turn)))
@@ -193,52 +158,52 @@ def thrust_and_heading_error(target: Quaternion, body: Quaternion) -> tuple[Vect
 
 @compiled
 def follow_target(body: Quaternion, gains: FloatArray, memory: FloatArray, dt_s: float) -> None:
-    """memory[OUT_RATES] for attitude `body` to reach and follow the target."""
+    """memory[at.OUT_RATES] for attitude `body` to reach and follow the target."""
     target = target_of(memory)
     error, correction, thrust_error = thrust_and_heading_error(target, body)
     ex, ey, ez = error
     up = rotate(body, UP)
-    memory[THRUST_ANGLE] = math.acos(limited(-up[2], -1.0, 1.0))
-    memory[THRUST_ERROR_ANGLE] = thrust_error
-    yaw_accel = limited(0.5 * gains[ACCEL_MAX + 2], YAW_ACCEL[0], YAW_ACCEL[1])
-    if gains[RATE_P + 2] > 0.0 and gains[ANGLE_P + 2] > 0.0:
+    memory[at.THRUST_ANGLE] = math.acos(limited(-up[2], -1.0, 1.0))
+    memory[at.THRUST_ERROR_ANGLE] = thrust_error
+    yaw_accel = limited(0.5 * gains[at.ACCEL_MAX + 2], YAW_ACCEL[0], YAW_ACCEL[1])
+    if gains[at.RATE_P + 2] > 0.0 and gains[at.ANGLE_P + 2] > 0.0:
         # no more heading error than the yaw output can use
-        most = inverse_sqrt_controller(1.0 / gains[RATE_P + 2], gains[ANGLE_P + 2], yaw_accel)
+        most = inverse_sqrt_controller(1.0 / gains[at.RATE_P + 2], gains[at.ANGLE_P + 2], yaw_accel)
         most = min(most, YAW_ERROR_MOST)
         if abs(ez) > most:
             ez = limited(ez, -most, most)
             target = normalised(multiply(multiply(body, correction), from_rotation_vector((0.0, 0.0, ez))))
             put_target(memory, target)
     wx = sqrt_controller(
-        ex, gains[ANGLE_P], limited(0.5 * gains[ACCEL_MAX], TILT_ACCEL[0], TILT_ACCEL[1]), dt_s
+        ex, gains[at.ANGLE_P], limited(0.5 * gains[at.ACCEL_MAX], TILT_ACCEL[0], TILT_ACCEL[1]), dt_s
     )
     wy = sqrt_controller(
-        ey, gains[ANGLE_P + 1], limited(0.5 * gains[ACCEL_MAX + 1], TILT_ACCEL[0], TILT_ACCEL[1]), dt_s
+        ey, gains[at.ANGLE_P + 1], limited(0.5 * gains[at.ACCEL_MAX + 1], TILT_ACCEL[0], TILT_ACCEL[1]), dt_s
     )
-    wz = sqrt_controller(ez, gains[ANGLE_P + 2], yaw_accel, dt_s)
+    wz = sqrt_controller(ez, gains[at.ANGLE_P + 2], yaw_accel, dt_s)
     wx, wy, wz = limit_rates(wx, wy, wz, gains)
     feed = rotate(
         multiply(inverse(body), target),
-        (memory[TARGET_RATES], memory[TARGET_RATES + 1], memory[TARGET_RATES + 2]),
+        (memory[at.TARGET_RATES], memory[at.TARGET_RATES + 1], memory[at.TARGET_RATES + 2]),
     )
     if thrust_error > 2.0 * LARGE_ERROR:
-        wz = memory[GYRO + 2]
+        wz = memory[at.GYRO + 2]
     elif thrust_error > LARGE_ERROR:
         share = 1.0 - (thrust_error - LARGE_ERROR) / LARGE_ERROR
         wx += share * feed[0]
         wy += share * feed[1]
-        wz = memory[GYRO + 2] * (1.0 - share) + (wz + feed[2]) * share
+        wz = memory[at.GYRO + 2] * (1.0 - share) + (wz + feed[2]) * share
     else:
         wx, wy, wz = wx + feed[0], wy + feed[1], wz + feed[2]
-    memory[OUT_RATES] = wx
-    memory[OUT_RATES + 1] = wy
-    memory[OUT_RATES + 2] = wz
+    memory[at.OUT_RATES] = wx
+    memory[at.OUT_RATES + 1] = wy
+    memory[at.OUT_RATES + 2] = wz
 
 
 @compiled
 def limit_rates(x: float, y: float, z: float, gains: FloatArray) -> Vector:
     """Rates within ATC_RATE_R_MAX and its like (0: no limit), roll and pitch shortened together."""
-    most_x, most_y, most_z = gains[RATE_MAX], gains[RATE_MAX + 1], gains[RATE_MAX + 2]
+    most_x, most_y, most_z = gains[at.RATE_MAX], gains[at.RATE_MAX + 1], gains[at.RATE_MAX + 2]
     if most_x > 0.0 and most_y > 0.0:
         length = math.sqrt((x / most_x) ** 2 + (y / most_y) ** 2)
         if length > 1.0:
@@ -262,34 +227,34 @@ def take_quaternion(
     """
     move_target(memory, dt_s)
     wanted = (
-        setpoint[SET_QUATERNION],
-        setpoint[SET_QUATERNION + 1],
-        setpoint[SET_QUATERNION + 2],
-        setpoint[SET_QUATERNION + 3],
+        setpoint[at.QUATERNION],
+        setpoint[at.QUATERNION + 1],
+        setpoint[at.QUATERNION + 2],
+        setpoint[at.QUATERNION + 3],
     )
-    rx, ry, rz = limit_rates(setpoint[SET_RATES], setpoint[SET_RATES + 1], setpoint[SET_RATES + 2], gains)
+    rx, ry, rz = limit_rates(setpoint[at.RATES], setpoint[at.RATES + 1], setpoint[at.RATES + 2], gains)
     feed = rotate(wanted, (rx, ry, rz))
-    if gains[FEED_FORWARD] > 0.0:
+    if gains[at.FEED_FORWARD] > 0.0:
         error = to_rotation_vector(multiply(inverse(target_of(memory)), wanted))
         for i in range(3):
-            memory[TARGET_RATES + i] = shape_angle(
+            memory[at.TARGET_RATES + i] = shape_angle(
                 error[i],
-                gains[INPUT_TC],
-                gains[ACCEL_MAX + i],
-                memory[TARGET_RATES + i],
+                gains[at.INPUT_TC],
+                gains[at.ACCEL_MAX + i],
+                memory[at.TARGET_RATES + i],
                 feed[i],
-                gains[RATE_MAX + i],
+                gains[at.RATE_MAX + i],
                 dt_s,
             )
     else:
         put_target(memory, wanted)
         for i in range(3):
-            memory[TARGET_RATES + i] = feed[i]
+            memory[at.TARGET_RATES + i] = feed[i]
     turned = normalised(
         multiply(wanted, from_rotation_vector((feed[0] * dt_s, feed[1] * dt_s, feed[2] * dt_s)))
     )
     for i in range(4):
-        setpoint[SET_QUATERNION + i] = turned[i]
+        setpoint[at.QUATERNION + i] = turned[i]
     follow_target(body, gains, memory, dt_s)
 
 
@@ -300,8 +265,8 @@ def take_rates(
     """Body rates: the target turns with them, so that what was not turned in time is caught up with."""
     move_target(memory, dt_s)
     for i in range(3):
-        memory[TARGET_RATES + i] = shape_rate(
-            memory[TARGET_RATES + i], setpoint[SET_RATES + i], gains[ACCEL_MAX + i], dt_s
+        memory[at.TARGET_RATES + i] = shape_rate(
+            memory[at.TARGET_RATES + i], setpoint[at.RATES + i], gains[at.ACCEL_MAX + i], dt_s
         )
     follow_target(body, gains, memory, dt_s)
 
@@ -321,20 +286,20 @@ def take_lean(
     r, p, _ = euler(target_of(memory))
     sin_r, cos_r = math.sin(r), math.cos(r)
     sin_p, cos_p = math.sin(p), max(math.cos(p), 0.1)
-    x, y, z = memory[TARGET_RATES], memory[TARGET_RATES + 1], memory[TARGET_RATES + 2]
+    x, y, z = memory[at.TARGET_RATES], memory[at.TARGET_RATES + 1], memory[at.TARGET_RATES + 2]
     turn = (sin_r * y + cos_r * z) / cos_p
     dp = cos_r * y - sin_r * z
     dr = x + sin_p * turn
-    tc = gains[INPUT_TC]
-    dr = shape_angle(wrapped(roll - r), tc, gains[ACCEL_MAX], dr, 0.0, 0.0, dt_s)
-    dp = shape_angle(wrapped(pitch - p), tc, gains[ACCEL_MAX + 1], dp, 0.0, 0.0, dt_s)
-    turn = shape_rate(turn, yaw_rate, gains[ACCEL_MAX + 2], dt_s)
+    tc = gains[at.INPUT_TC]
+    dr = shape_angle(wrapped(roll - r), tc, gains[at.ACCEL_MAX], dr, 0.0, 0.0, dt_s)
+    dp = shape_angle(wrapped(pitch - p), tc, gains[at.ACCEL_MAX + 1], dp, 0.0, 0.0, dt_s)
+    turn = shape_rate(turn, yaw_rate, gains[at.ACCEL_MAX + 2], dt_s)
     x, y, z = limit_rates(
         dr - sin_p * turn, cos_r * dp + sin_r * cos_p * turn, -sin_r * dp + cos_p * cos_r * turn, gains
     )
-    memory[TARGET_RATES] = x
-    memory[TARGET_RATES + 1] = y
-    memory[TARGET_RATES + 2] = z
+    memory[at.TARGET_RATES] = x
+    memory[at.TARGET_RATES + 1] = y
+    memory[at.TARGET_RATES + 2] = z
     follow_target(body, gains, memory, dt_s)
 
 
@@ -366,22 +331,22 @@ def take_thrust_direction(
 ) -> None:
     """What the position controller asks for: acceleration (m/s²) as tilt, and heading or a rate of heading."""
     move_target(memory, dt_s)
-    slew = gains[SLEW_YAW]
-    rate = limited(setpoint[SET_HEADING_RATE], -slew, slew) if slew > 0.0 else setpoint[SET_HEADING_RATE]
-    wanted = attitude_of_thrust(north, east, -9.80665, setpoint[SET_HEADING])
+    slew = gains[at.SLEW_YAW]
+    rate = limited(setpoint[at.HEADING_RATE], -slew, slew) if slew > 0.0 else setpoint[at.HEADING_RATE]
+    wanted = attitude_of_thrust(north, east, -9.80665, setpoint[at.HEADING])
     target = target_of(memory)
     error, _, _ = thrust_and_heading_error(wanted, target)
-    tc = gains[INPUT_TC]
-    x = shape_angle(error[0], tc, gains[ACCEL_MAX], memory[TARGET_RATES], 0.0, 0.0, dt_s)
-    y = shape_angle(error[1], tc, gains[ACCEL_MAX + 1], memory[TARGET_RATES + 1], 0.0, 0.0, dt_s)
-    if setpoint[SET_HEADING_KIND] == HEADING_ANGLE:
-        z = shape_angle(error[2], tc, gains[ACCEL_MAX + 2], memory[TARGET_RATES + 2], rate, slew, dt_s)
+    tc = gains[at.INPUT_TC]
+    x = shape_angle(error[0], tc, gains[at.ACCEL_MAX], memory[at.TARGET_RATES], 0.0, 0.0, dt_s)
+    y = shape_angle(error[1], tc, gains[at.ACCEL_MAX + 1], memory[at.TARGET_RATES + 1], 0.0, 0.0, dt_s)
+    if setpoint[at.HEADING_KIND] == at.HEADING_ANGLE:
+        z = shape_angle(error[2], tc, gains[at.ACCEL_MAX + 2], memory[at.TARGET_RATES + 2], rate, slew, dt_s)
     else:
-        z = shape_rate(memory[TARGET_RATES + 2], rate, gains[ACCEL_MAX + 2], dt_s)
+        z = shape_rate(memory[at.TARGET_RATES + 2], rate, gains[at.ACCEL_MAX + 2], dt_s)
     x, y, z = limit_rates(x, y, z, gains)
-    memory[TARGET_RATES] = x
-    memory[TARGET_RATES + 1] = y
-    memory[TARGET_RATES + 2] = z
+    memory[at.TARGET_RATES] = x
+    memory[at.TARGET_RATES + 1] = y
+    memory[at.TARGET_RATES + 2] = z
     follow_target(body, gains, memory, dt_s)
 
 
@@ -389,9 +354,9 @@ def take_thrust_direction(
 def relax(body: Quaternion, turning: bool, gains: FloatArray, memory: FloatArray, dt_s: float) -> None:
     """On the ground: stay level; integrals run out; heading follows the vehicle unless the motors are `turning`."""
     for i in range(3):
-        memory[PID_INTEGRAL + i] -= memory[PID_INTEGRAL + i] * dt_s / (dt_s + 0.16)
+        memory[at.PID_INTEGRAL + i] -= memory[at.PID_INTEGRAL + i] * dt_s / (dt_s + 0.16)
     if not turning:
         roll, pitch, _ = euler(target_of(memory))
         put_target(memory, from_euler(roll, pitch, euler(body)[2]))
-        memory[TARGET_RATES + 2] = 0.0
+        memory[at.TARGET_RATES + 2] = 0.0
     take_lean(body, 0.0, 0.0, 0.0, gains, memory, dt_s)

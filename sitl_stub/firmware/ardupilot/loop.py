@@ -46,28 +46,6 @@ from sitl_stub.physics.wind import advance_wind
 
 FloatArray = NDArray[np.float64]
 
-SPOOL = at.SPOOL
-SPOOL_SHUT_DOWN = at.SPOOL_SHUT_DOWN
-LATERAL = at.LATERAL
-SOFT_LANDING = at.SOFT_LANDING
-LATERAL_RELAX = at.LATERAL_RELAX
-LATERAL_QUATERNION = at.LATERAL_QUATERNION
-LATERAL_RATES = at.LATERAL_RATES
-LATERAL_LEAN = at.LATERAL_LEAN
-VERTICAL = at.VERTICAL
-VERTICAL_THRUST = at.VERTICAL_THRUST
-LEAN = at.LEAN
-HEADING_RATE = at.HEADING_RATE
-THRUST = at.THRUST
-THROTTLE_MIX = at.THROTTLE_MIX
-THROTTLE_CUTOFF_HZ = at.THROTTLE_CUTOFF_HZ
-NE_ACTIVE = at.NE_ACTIVE
-UP_ACTIVE = at.UP_ACTIVE
-MEASURED_LIFT = at.MEASURED_LIFT
-TARGET_ACCELERATION = at.TARGET_ACCELERATION
-SPOOL_STATE = at.SPOOL_STATE
-STATE_GROUND_IDLE = at.STATE_GROUND_IDLE
-OUT_MOTORS = at.OUT_MOTORS
 ONE_G = 9.80665
 
 
@@ -82,14 +60,14 @@ def control(
     factors: FloatArray,
     dt_s: float,
 ) -> None:
-    """One pass of ArduCopter's main loop: memory[OUT_MOTORS], then the targets for the next pass.
+    """One pass of ArduCopter's main loop: memory[at.OUT_MOTORS], then the targets for the next pass.
 
     `place` and `speed` (3,) are scratch: position and velocity north, east, up.
     """
     filter_gyro(estimate[EST_BODY_RATE : EST_BODY_RATE + 3], gains, memory, dt_s)
-    move_mix(setpoint[THROTTLE_MIX], gains, memory, dt_s)
+    move_mix(setpoint[at.THROTTLE_MIX], gains, memory, dt_s)
     rates_to_torque(gains, memory, dt_s)
-    spool(setpoint[SPOOL], gains, memory, dt_s)
+    spool(setpoint[at.SPOOL], gains, memory, dt_s)
     mix(factors, gains, memory, dt_s)
 
     body = (
@@ -106,45 +84,53 @@ def control(
             estimate[EST_SPECIFIC_FORCE + 2],
         ),
     )
-    memory[MEASURED_LIFT] = -force[2] - ONE_G
+    memory[at.MEASURED_LIFT] = -force[2] - ONE_G
     for i in range(2):
         place[i] = estimate[EST_POSITION + i]
         speed[i] = estimate[EST_VELOCITY + i]
     place[2] = -estimate[EST_POSITION + 2]
     speed[2] = -estimate[EST_VELOCITY + 2]
 
-    lateral = setpoint[LATERAL]
-    if lateral == LATERAL_RELAX:
-        memory[NE_ACTIVE] = 0.0
-        relax(body, memory[SPOOL_STATE] > STATE_GROUND_IDLE, gains, memory, dt_s)
-    elif lateral == LATERAL_QUATERNION:
-        memory[NE_ACTIVE] = 0.0
+    lateral = setpoint[at.LATERAL]
+    if lateral == at.LATERAL_RELAX:
+        memory[at.NE_ACTIVE] = 0.0
+        relax(body, memory[at.SPOOL_STATE] > at.STATE_GROUND_IDLE, gains, memory, dt_s)
+    elif lateral == at.LATERAL_QUATERNION:
+        memory[at.NE_ACTIVE] = 0.0
         take_quaternion(body, setpoint, gains, memory, dt_s)
-    elif lateral == LATERAL_RATES:
-        memory[NE_ACTIVE] = 0.0
+    elif lateral == at.LATERAL_RATES:
+        memory[at.NE_ACTIVE] = 0.0
         take_rates(body, setpoint, gains, memory, dt_s)
-    elif lateral == LATERAL_LEAN:
-        memory[NE_ACTIVE] = 0.0
-        take_lean(body, setpoint[LEAN], setpoint[LEAN + 1], setpoint[HEADING_RATE], gains, memory, dt_s)
+    elif lateral == at.LATERAL_LEAN:
+        memory[at.NE_ACTIVE] = 0.0
+        take_lean(
+            body, setpoint[at.LEAN], setpoint[at.LEAN + 1], setpoint[at.HEADING_RATE], gains, memory, dt_s
+        )
     else:
-        if memory[NE_ACTIVE] == 0.0:
+        if memory[at.NE_ACTIVE] == 0.0:
             up = rotate(body, (0.0, 0.0, -1.0))
             scale = ONE_G / max(-up[2], 0.1)
             start_ne(place, speed, (up[0] * scale, up[1] * scale), gains, memory)
-        if setpoint[SOFT_LANDING] > 0.0:
+        if setpoint[at.SOFT_LANDING] > 0.0:
             soften_ne(place, memory, dt_s)
         advance_desired_ne(memory, dt_s)
         shape_ne(setpoint, gains, memory, dt_s)
         correct_ne(place, speed, setpoint, gains, memory, dt_s)
         take_thrust_direction(
-            body, memory[TARGET_ACCELERATION], memory[TARGET_ACCELERATION + 1], setpoint, gains, memory, dt_s
+            body,
+            memory[at.TARGET_ACCELERATION],
+            memory[at.TARGET_ACCELERATION + 1],
+            setpoint,
+            gains,
+            memory,
+            dt_s,
         )
 
-    if setpoint[VERTICAL] == VERTICAL_THRUST:
-        memory[UP_ACTIVE] = 0.0
-        give_throttle(setpoint[THRUST], gains, memory, setpoint[THROTTLE_CUTOFF_HZ])
+    if setpoint[at.VERTICAL] == at.VERTICAL_THRUST:
+        memory[at.UP_ACTIVE] = 0.0
+        give_throttle(setpoint[at.THRUST], gains, memory, setpoint[at.THROTTLE_CUTOFF_HZ])
     else:
-        if memory[UP_ACTIVE] == 0.0:
+        if memory[at.UP_ACTIVE] == 0.0:
             start_up(place[2], speed[2], gains, memory)
         shape_up(setpoint, gains, memory, dt_s)
         correct_up(place[2], speed[2], setpoint, gains, memory, dt_s)
@@ -180,5 +166,7 @@ def fly(
     for _ in range(periods):
         control(estimate, place, speed, setpoint, gains, memory, factors, control_period_s)
         advance_wind(wind, wind_random, state, environment, control_period_s)
-        advance(state, memory[OUT_MOTORS : OUT_MOTORS + 8], vehicle, environment, physics_dt, physics_steps)
+        advance(
+            state, memory[at.OUT_MOTORS : at.OUT_MOTORS + 8], vehicle, environment, physics_dt, physics_steps
+        )
         advance_estimate(estimate, estimator_memory, delay_line, estimator_settings, estimator_random, state)

@@ -25,61 +25,6 @@ from sitl_stub.physics.compiled import compiled
 FloatArray = NDArray[np.float64]
 Pair = tuple[float, float]
 
-KIND_POSITION = at.KIND_POSITION
-KIND_TRAJECTORY = at.KIND_TRAJECTORY
-KIND_VELOCITY = at.KIND_VELOCITY
-SET_NE_KIND = at.NE_KIND
-SET_UP_KIND = at.UP_KIND
-SET_POSITION = at.POSITION
-SET_VELOCITY = at.VELOCITY
-SET_ACCELERATION = at.ACCELERATION
-SPEED_NE = at.SPEED_NE
-ACCEL_NE = at.ACCEL_NE
-SPEED_UP = at.SPEED_UP
-SPEED_DOWN = at.SPEED_DOWN
-ACCEL_UP = at.ACCEL_UP
-IGNORE_DESCENT_LIMIT = at.IGNORE_DESCENT_LIMIT
-DESIRED_POSITION = at.DESIRED_POSITION
-DESIRED_VELOCITY = at.DESIRED_VELOCITY
-DESIRED_ACCELERATION = at.DESIRED_ACCELERATION
-TARGET_VELOCITY = at.TARGET_VELOCITY
-TARGET_ACCELERATION = at.TARGET_ACCELERATION
-LIMIT_VECTOR = at.LIMIT_VECTOR
-LIMIT_LOWER = at.LIMIT_LOWER
-LIMIT_UPPER = at.LIMIT_UPPER
-VELOCITY_ERROR = at.VELOCITY_ERROR
-VELOCITY_SLOPE = at.VELOCITY_SLOPE
-VELOCITY_INTEGRAL = at.VELOCITY_INTEGRAL
-POSITION_ERROR = at.POSITION_ERROR
-LIFT_ERROR = at.LIFT_ERROR
-LIFT_INTEGRAL = at.LIFT_INTEGRAL
-LIFT_STARTED = at.LIFT_STARTED
-MEASURED_LIFT = at.MEASURED_LIFT
-NE_ACTIVE = at.NE_ACTIVE
-UP_ACTIVE = at.UP_ACTIVE
-CLIMB_RATIO = at.CLIMB_RATIO
-THROTTLE_IN = at.THROTTLE_IN
-POSITION_P = at.POSITION_P
-VELOCITY_P = at.VELOCITY_P
-VELOCITY_I = at.VELOCITY_I
-VELOCITY_D = at.VELOCITY_D
-VELOCITY_IMAX = at.VELOCITY_IMAX
-VELOCITY_FLTE = at.VELOCITY_FLTE
-VELOCITY_FLTD = at.VELOCITY_FLTD
-HEIGHT_P = at.HEIGHT_P
-CLIMB_P = at.CLIMB_P
-CLIMB_I = at.CLIMB_I
-CLIMB_IMAX = at.CLIMB_IMAX
-CLIMB_FLTE = at.CLIMB_FLTE
-LIFT_P = at.LIFT_P
-LIFT_I = at.LIFT_I
-LIFT_IMAX = at.LIFT_IMAX
-LIFT_FLTE = at.LIFT_FLTE
-JERK_NE = at.JERK_NE
-JERK_UP = at.JERK_UP
-TILT_MAX = at.TILT_MAX
-HOVER_THRUST = at.HOVER_THRUST
-ACCEL_MAX = at.ACCEL_MAX
 
 ONE_G = 9.80665
 CORNER_SHARE = math.sqrt(0.5)
@@ -116,33 +61,35 @@ def start_ne(
 ) -> None:
     """Begin at the present place and speed with the tilt that there is (`lean`: its acceleration, m/s²)."""
     for i in range(2):
-        memory[DESIRED_POSITION + i] = position[i]
-        memory[DESIRED_VELOCITY + i] = velocity[i]
-        memory[DESIRED_ACCELERATION + i] = 0.0
-        memory[VELOCITY_ERROR + i] = 0.0
-        memory[VELOCITY_SLOPE + i] = 0.0
-        memory[POSITION_ERROR + i] = 0.0
-        memory[LIMIT_VECTOR + i] = 0.0
-    most = ONE_G * math.tan(gains[TILT_MAX])
-    memory[VELOCITY_INTEGRAL], memory[VELOCITY_INTEGRAL + 1] = shortened(lean[0], lean[1], most)
-    memory[NE_ACTIVE] = 1.0
+        memory[at.DESIRED_POSITION + i] = position[i]
+        memory[at.DESIRED_VELOCITY + i] = velocity[i]
+        memory[at.DESIRED_ACCELERATION + i] = 0.0
+        memory[at.VELOCITY_ERROR + i] = 0.0
+        memory[at.VELOCITY_SLOPE + i] = 0.0
+        memory[at.POSITION_ERROR + i] = 0.0
+        memory[at.LIMIT_VECTOR + i] = 0.0
+    most = ONE_G * math.tan(gains[at.TILT_MAX])
+    memory[at.VELOCITY_INTEGRAL], memory[at.VELOCITY_INTEGRAL + 1] = shortened(lean[0], lean[1], most)
+    memory[at.NE_ACTIVE] = 1.0
 
 
 @compiled
 def start_up(height: float, climb: float, gains: FloatArray, memory: FloatArray) -> None:
     """Begin at the present height and climb rate with the thrust that there is."""
-    lift = memory[MEASURED_LIFT]
-    memory[DESIRED_POSITION + 2] = height
-    memory[DESIRED_VELOCITY + 2] = climb
-    memory[DESIRED_ACCELERATION + 2] = limited(lift, -2.5, 2.5)
-    memory[VELOCITY_ERROR + 2] = 0.0
-    memory[VELOCITY_INTEGRAL + 2] = 0.0
-    memory[POSITION_ERROR + 2] = 0.0
-    memory[LIMIT_VECTOR + 2] = 0.0
-    memory[LIFT_STARTED] = 0.0
-    target = memory[DESIRED_ACCELERATION + 2]
-    memory[LIFT_INTEGRAL] = memory[THROTTLE_IN] - gains[HOVER_THRUST] - gains[LIFT_P] * (target - lift)
-    memory[UP_ACTIVE] = 1.0
+    lift = memory[at.MEASURED_LIFT]
+    memory[at.DESIRED_POSITION + 2] = height
+    memory[at.DESIRED_VELOCITY + 2] = climb
+    memory[at.DESIRED_ACCELERATION + 2] = limited(lift, -2.5, 2.5)
+    memory[at.VELOCITY_ERROR + 2] = 0.0
+    memory[at.VELOCITY_INTEGRAL + 2] = 0.0
+    memory[at.POSITION_ERROR + 2] = 0.0
+    memory[at.LIMIT_VECTOR + 2] = 0.0
+    memory[at.LIFT_STARTED] = 0.0
+    target = memory[at.DESIRED_ACCELERATION + 2]
+    memory[at.LIFT_INTEGRAL] = (
+        memory[at.THROTTLE_IN] - gains[at.HOVER_THRUST] - gains[at.LIFT_P] * (target - lift)
+    )
+    memory[at.UP_ACTIVE] = 1.0
 
 
 @compiled
@@ -150,52 +97,52 @@ def soften_ne(position: FloatArray, memory: FloatArray, dt_s: float) -> None:
     """The ground holds the vehicle: let the place it should hold go there, and the integral not grow."""
     share = dt_s / (dt_s + SOFT_LANDING_S)
     for i in range(2):
-        memory[DESIRED_POSITION + i] += share * (position[i] - memory[DESIRED_POSITION + i])
-        memory[LIMIT_VECTOR + i] = memory[TARGET_ACCELERATION + i]
+        memory[at.DESIRED_POSITION + i] += share * (position[i] - memory[at.DESIRED_POSITION + i])
+        memory[at.LIMIT_VECTOR + i] = memory[at.TARGET_ACCELERATION + i]
 
 
 @compiled
 def advance_desired_ne(memory: FloatArray, dt_s: float) -> None:
     """Desired position and velocity move on, except further into a limit of tilt."""
-    lx, ly = memory[LIMIT_VECTOR], memory[LIMIT_VECTOR + 1]
-    ax, ay = memory[DESIRED_ACCELERATION], memory[DESIRED_ACCELERATION + 1]
-    dx = memory[DESIRED_VELOCITY] * dt_s + 0.5 * ax * dt_s * dt_s
-    dy = memory[DESIRED_VELOCITY + 1] * dt_s + 0.5 * ay * dt_s * dt_s
-    error = memory[POSITION_ERROR] * lx + memory[POSITION_ERROR + 1] * ly
+    lx, ly = memory[at.LIMIT_VECTOR], memory[at.LIMIT_VECTOR + 1]
+    ax, ay = memory[at.DESIRED_ACCELERATION], memory[at.DESIRED_ACCELERATION + 1]
+    dx = memory[at.DESIRED_VELOCITY] * dt_s + 0.5 * ax * dt_s * dt_s
+    dy = memory[at.DESIRED_VELOCITY + 1] * dt_s + 0.5 * ay * dt_s * dt_s
+    error = memory[at.POSITION_ERROR] * lx + memory[at.POSITION_ERROR + 1] * ly
     if not (dx * lx + dy * ly > 0.0 and error > 0.0):
-        memory[DESIRED_POSITION] += dx
-        memory[DESIRED_POSITION + 1] += dy
+        memory[at.DESIRED_POSITION] += dx
+        memory[at.DESIRED_POSITION + 1] += dy
     dx, dy = ax * dt_s, ay * dt_s
-    error = memory[VELOCITY_ERROR] * lx + memory[VELOCITY_ERROR + 1] * ly
-    along = memory[DESIRED_VELOCITY] * lx + memory[DESIRED_VELOCITY + 1] * ly
+    error = memory[at.VELOCITY_ERROR] * lx + memory[at.VELOCITY_ERROR + 1] * ly
+    along = memory[at.DESIRED_VELOCITY] * lx + memory[at.DESIRED_VELOCITY + 1] * ly
     if not (dx * lx + dy * ly > 0.0 and error > 0.0 and along >= 0.0):
-        memory[DESIRED_VELOCITY] += dx
-        memory[DESIRED_VELOCITY + 1] += dy
+        memory[at.DESIRED_VELOCITY] += dx
+        memory[at.DESIRED_VELOCITY + 1] += dy
 
 
 @compiled
 def shape_ne(setpoint: FloatArray, gains: FloatArray, memory: FloatArray, dt_s: float) -> None:
     """Desired horizontal acceleration for the setpoint, within acceleration and jerk."""
-    kind = setpoint[SET_NE_KIND]
-    accel_max = max(setpoint[ACCEL_NE], 0.1)
-    snap = min(gains[ACCEL_MAX], gains[ACCEL_MAX + 1]) * ONE_G
-    jerk = gains[JERK_NE]
+    kind = setpoint[at.NE_KIND]
+    accel_max = max(setpoint[at.ACCEL_NE], 0.1)
+    snap = min(gains[at.ACCEL_MAX], gains[at.ACCEL_MAX + 1]) * ONE_G
+    jerk = gains[at.JERK_NE]
     if snap > 0.0:
         jerk = min(jerk, 0.5 * math.sqrt(accel_max * snap))
-    px, py = setpoint[SET_POSITION], setpoint[SET_POSITION + 1]
-    vx, vy = setpoint[SET_VELOCITY], setpoint[SET_VELOCITY + 1]
-    ax, ay = setpoint[SET_ACCELERATION], setpoint[SET_ACCELERATION + 1]
-    if kind == KIND_POSITION:
+    px, py = setpoint[at.POSITION], setpoint[at.POSITION + 1]
+    vx, vy = setpoint[at.VELOCITY], setpoint[at.VELOCITY + 1]
+    ax, ay = setpoint[at.ACCELERATION], setpoint[at.ACCELERATION + 1]
+    if kind == at.KIND_POSITION:
         vx = vy = ax = ay = 0.0
     wx, wy = vx, vy
-    if kind <= KIND_TRAJECTORY:
-        ex, ey = px - memory[DESIRED_POSITION], py - memory[DESIRED_POSITION + 1]
+    if kind <= at.KIND_TRAJECTORY:
+        ex, ey = px - memory[at.DESIRED_POSITION], py - memory[at.DESIRED_POSITION + 1]
         cx, cy = pair_controller(ex, ey, 0.5 * jerk / accel_max, 0.5 * accel_max, dt_s)
-        cx, cy = shortened(cx, cy, setpoint[SPEED_NE])
+        cx, cy = shortened(cx, cy, setpoint[at.SPEED_NE])
         wx, wy = vx + cx, vy + cy
     bx, by = ax, ay
-    if kind <= KIND_VELOCITY:
-        ex, ey = wx - memory[DESIRED_VELOCITY], wy - memory[DESIRED_VELOCITY + 1]
+    if kind <= at.KIND_VELOCITY:
+        ex, ey = wx - memory[at.DESIRED_VELOCITY], wy - memory[at.DESIRED_VELOCITY + 1]
         cx, cy = pair_controller(ex, ey, jerk / accel_max, jerk, dt_s)
         speed = math.hypot(wx, wy)
         if speed == 0.0:
@@ -213,17 +160,17 @@ def shape_ne(setpoint: FloatArray, gains: FloatArray, memory: FloatArray, dt_s: 
                 along = limited(along, -room, room)
                 cx, cy = sx + ux * along, sy + uy * along
         bx, by = ax + cx, ay + cy
-    dx, dy = bx - memory[DESIRED_ACCELERATION], by - memory[DESIRED_ACCELERATION + 1]
+    dx, dy = bx - memory[at.DESIRED_ACCELERATION], by - memory[at.DESIRED_ACCELERATION + 1]
     dx, dy = shortened(dx, dy, jerk * dt_s)
-    memory[DESIRED_ACCELERATION] += dx
-    memory[DESIRED_ACCELERATION + 1] += dy
+    memory[at.DESIRED_ACCELERATION] += dx
+    memory[at.DESIRED_ACCELERATION + 1] += dy
     # what was asked for goes on by itself until the next message
-    if kind == KIND_TRAJECTORY:
-        setpoint[SET_POSITION] += vx * dt_s + 0.5 * ax * dt_s * dt_s
-        setpoint[SET_POSITION + 1] += vy * dt_s + 0.5 * ay * dt_s * dt_s
-    if KIND_TRAJECTORY <= kind <= KIND_VELOCITY:
-        setpoint[SET_VELOCITY] += ax * dt_s
-        setpoint[SET_VELOCITY + 1] += ay * dt_s
+    if kind == at.KIND_TRAJECTORY:
+        setpoint[at.POSITION] += vx * dt_s + 0.5 * ax * dt_s * dt_s
+        setpoint[at.POSITION + 1] += vy * dt_s + 0.5 * ay * dt_s * dt_s
+    if at.KIND_TRAJECTORY <= kind <= at.KIND_VELOCITY:
+        setpoint[at.VELOCITY] += ax * dt_s
+        setpoint[at.VELOCITY + 1] += ay * dt_s
 
 
 @compiled
@@ -235,106 +182,108 @@ def correct_ne(
     memory: FloatArray,
     dt_s: float,
 ) -> None:
-    """Position P and velocity PID about the desired trajectory: memory[TARGET_ACCELERATION] north and east."""
-    accel_max = max(setpoint[ACCEL_NE], 0.1)
-    ex = memory[DESIRED_POSITION] - position[0]
-    ey = memory[DESIRED_POSITION + 1] - position[1]
-    most = inverse_sqrt_controller(max(setpoint[SPEED_NE], 0.1), gains[POSITION_P], accel_max)
+    """Position P and velocity PID about the desired trajectory: memory[at.TARGET_ACCELERATION] north and east."""
+    accel_max = max(setpoint[at.ACCEL_NE], 0.1)
+    ex = memory[at.DESIRED_POSITION] - position[0]
+    ey = memory[at.DESIRED_POSITION + 1] - position[1]
+    most = inverse_sqrt_controller(max(setpoint[at.SPEED_NE], 0.1), gains[at.POSITION_P], accel_max)
     if math.hypot(ex, ey) > most:
         ex, ey = shortened(ex, ey, most)
-        memory[DESIRED_POSITION] = position[0] + ex
-        memory[DESIRED_POSITION + 1] = position[1] + ey
-    memory[POSITION_ERROR] = ex
-    memory[POSITION_ERROR + 1] = ey
-    cx, cy = pair_controller(ex, ey, gains[POSITION_P], accel_max, dt_s)
-    lx, ly = memory[LIMIT_VECTOR], memory[LIMIT_VECTOR + 1]
-    size = math.hypot(memory[VELOCITY_INTEGRAL], memory[VELOCITY_INTEGRAL + 1])
+        memory[at.DESIRED_POSITION] = position[0] + ex
+        memory[at.DESIRED_POSITION + 1] = position[1] + ey
+    memory[at.POSITION_ERROR] = ex
+    memory[at.POSITION_ERROR + 1] = ey
+    cx, cy = pair_controller(ex, ey, gains[at.POSITION_P], accel_max, dt_s)
+    lx, ly = memory[at.LIMIT_VECTOR], memory[at.LIMIT_VECTOR + 1]
+    size = math.hypot(memory[at.VELOCITY_INTEGRAL], memory[at.VELOCITY_INTEGRAL + 1])
     growth_x = growth_y = 0.0
     for i in range(2):
-        memory[TARGET_VELOCITY + i] = memory[DESIRED_VELOCITY + i] + (cx if i == 0 else cy)
-        before = memory[VELOCITY_ERROR + i]
-        error = memory[TARGET_VELOCITY + i] - velocity[i]
-        memory[VELOCITY_ERROR + i] += low_pass_share(gains[VELOCITY_FLTE], dt_s) * (error - before)
-        slope = (memory[VELOCITY_ERROR + i] - before) / dt_s
-        memory[VELOCITY_SLOPE + i] += low_pass_share(gains[VELOCITY_FLTD], dt_s) * (
-            slope - memory[VELOCITY_SLOPE + i]
+        memory[at.TARGET_VELOCITY + i] = memory[at.DESIRED_VELOCITY + i] + (cx if i == 0 else cy)
+        before = memory[at.VELOCITY_ERROR + i]
+        error = memory[at.TARGET_VELOCITY + i] - velocity[i]
+        memory[at.VELOCITY_ERROR + i] += low_pass_share(gains[at.VELOCITY_FLTE], dt_s) * (error - before)
+        slope = (memory[at.VELOCITY_ERROR + i] - before) / dt_s
+        memory[at.VELOCITY_SLOPE + i] += low_pass_share(gains[at.VELOCITY_FLTD], dt_s) * (
+            slope - memory[at.VELOCITY_SLOPE + i]
         )
-    growth_x = memory[VELOCITY_ERROR] * gains[VELOCITY_I] * dt_s
-    growth_y = memory[VELOCITY_ERROR + 1] * gains[VELOCITY_I] * dt_s
-    ix, iy = memory[VELOCITY_INTEGRAL] + growth_x, memory[VELOCITY_INTEGRAL + 1] + growth_y
+    growth_x = memory[at.VELOCITY_ERROR] * gains[at.VELOCITY_I] * dt_s
+    growth_y = memory[at.VELOCITY_ERROR + 1] * gains[at.VELOCITY_I] * dt_s
+    ix, iy = memory[at.VELOCITY_INTEGRAL] + growth_x, memory[at.VELOCITY_INTEGRAL + 1] + growth_y
     if growth_x * lx + growth_y * ly > 0.0:
         ix, iy = shortened(ix, iy, size)
-    ix, iy = shortened(ix, iy, gains[VELOCITY_IMAX])
-    memory[VELOCITY_INTEGRAL] = ix
-    memory[VELOCITY_INTEGRAL + 1] = iy
+    ix, iy = shortened(ix, iy, gains[at.VELOCITY_IMAX])
+    memory[at.VELOCITY_INTEGRAL] = ix
+    memory[at.VELOCITY_INTEGRAL + 1] = iy
     for i in range(2):
-        memory[TARGET_ACCELERATION + i] = (
-            memory[DESIRED_ACCELERATION + i]
-            + gains[VELOCITY_P] * memory[VELOCITY_ERROR + i]
-            + memory[VELOCITY_INTEGRAL + i]
-            + gains[VELOCITY_D] * memory[VELOCITY_SLOPE + i]
+        memory[at.TARGET_ACCELERATION + i] = (
+            memory[at.DESIRED_ACCELERATION + i]
+            + gains[at.VELOCITY_P] * memory[at.VELOCITY_ERROR + i]
+            + memory[at.VELOCITY_INTEGRAL + i]
+            + gains[at.VELOCITY_D] * memory[at.VELOCITY_SLOPE + i]
         )
-    ax, ay = memory[TARGET_ACCELERATION], memory[TARGET_ACCELERATION + 1]
-    most = ONE_G * math.tan(gains[TILT_MAX])
+    ax, ay = memory[at.TARGET_ACCELERATION], memory[at.TARGET_ACCELERATION + 1]
+    most = ONE_G * math.tan(gains[at.TILT_MAX])
     if math.hypot(ax, ay) > most:
-        memory[LIMIT_VECTOR] = ax
-        memory[LIMIT_VECTOR + 1] = ay
-        memory[TARGET_ACCELERATION], memory[TARGET_ACCELERATION + 1] = shortened(ax, ay, most)
+        memory[at.LIMIT_VECTOR] = ax
+        memory[at.LIMIT_VECTOR + 1] = ay
+        memory[at.TARGET_ACCELERATION], memory[at.TARGET_ACCELERATION + 1] = shortened(ax, ay, most)
     else:
-        memory[LIMIT_VECTOR] = 0.0
-        memory[LIMIT_VECTOR + 1] = 0.0
+        memory[at.LIMIT_VECTOR] = 0.0
+        memory[at.LIMIT_VECTOR + 1] = 0.0
 
 
 @compiled
 def shape_up(setpoint: FloatArray, gains: FloatArray, memory: FloatArray, dt_s: float) -> None:
     """Desired height, climb rate and acceleration move on towards the setpoint."""
-    if setpoint[IGNORE_DESCENT_LIMIT] > 0.0:
-        memory[LIMIT_VECTOR + 2] = max(memory[LIMIT_VECTOR + 2], 0.0)
-    fastest_up, fastest_down = max(setpoint[SPEED_UP], 0.05), max(setpoint[SPEED_DOWN], 0.05)
-    climb = memory[DESIRED_VELOCITY + 2]
+    if setpoint[at.IGNORE_DESCENT_LIMIT] > 0.0:
+        memory[at.LIMIT_VECTOR + 2] = max(memory[at.LIMIT_VECTOR + 2], 0.0)
+    fastest_up, fastest_down = max(setpoint[at.SPEED_UP], 0.05), max(setpoint[at.SPEED_DOWN], 0.05)
+    climb = memory[at.DESIRED_VELOCITY + 2]
     gain = 1.0
     if climb < -fastest_down:
         gain = OVERSPEED_GAIN * -climb / fastest_down
     elif climb > fastest_up:
         gain = OVERSPEED_GAIN * climb / fastest_up
-    accel_max = max(setpoint[ACCEL_UP], 0.1) * gain
+    accel_max = max(setpoint[at.ACCEL_UP], 0.1) * gain
     accel_down = min(accel_max, MOST_DESCENT_ACCEL)
-    jerk = gains[JERK_UP]
-    if gains[LIFT_FLTE] > 0.0:
-        jerk = min(jerk, min(ONE_G, max(setpoint[ACCEL_UP], 0.1)) * 2.0 * math.pi * gains[LIFT_FLTE] / 5.0)
+    jerk = gains[at.JERK_UP]
+    if gains[at.LIFT_FLTE] > 0.0:
+        jerk = min(
+            jerk, min(ONE_G, max(setpoint[at.ACCEL_UP], 0.1)) * 2.0 * math.pi * gains[at.LIFT_FLTE] / 5.0
+        )
     jerk *= gain
 
-    limit = memory[LIMIT_VECTOR + 2]
-    acceleration = memory[DESIRED_ACCELERATION + 2]
+    limit = memory[at.LIMIT_VECTOR + 2]
+    acceleration = memory[at.DESIRED_ACCELERATION + 2]
     step = climb * dt_s + 0.5 * acceleration * dt_s * dt_s
-    if not (step * limit > 0.0 and memory[POSITION_ERROR + 2] * limit > 0.0):
-        memory[DESIRED_POSITION + 2] += step
+    if not (step * limit > 0.0 and memory[at.POSITION_ERROR + 2] * limit > 0.0):
+        memory[at.DESIRED_POSITION + 2] += step
     step = acceleration * dt_s
-    if not (step * limit > 0.0 and memory[VELOCITY_ERROR + 2] * limit > 0.0 and climb * limit >= 0.0):
-        memory[DESIRED_VELOCITY + 2] += step
-    climb = memory[DESIRED_VELOCITY + 2]
+    if not (step * limit > 0.0 and memory[at.VELOCITY_ERROR + 2] * limit > 0.0 and climb * limit >= 0.0):
+        memory[at.DESIRED_VELOCITY + 2] += step
+    climb = memory[at.DESIRED_VELOCITY + 2]
 
-    kind = setpoint[SET_UP_KIND]
-    feed_v, feed_a = setpoint[SET_VELOCITY + 2], setpoint[SET_ACCELERATION + 2]
-    if kind == KIND_POSITION:
+    kind = setpoint[at.UP_KIND]
+    feed_v, feed_a = setpoint[at.VELOCITY + 2], setpoint[at.ACCELERATION + 2]
+    if kind == at.KIND_POSITION:
         feed_v = feed_a = 0.0
     wanted = feed_v
-    if kind <= KIND_TRAJECTORY:
-        error = setpoint[SET_POSITION + 2] - memory[DESIRED_POSITION + 2]
+    if kind <= at.KIND_TRAJECTORY:
+        error = setpoint[at.POSITION + 2] - memory[at.DESIRED_POSITION + 2]
         room = accel_down if error > 0.0 else accel_max
         correction = sqrt_controller(error, 0.5 * jerk / room, 0.5 * room, dt_s)
         wanted += limited(correction, -fastest_down, fastest_up)
     push = feed_a
-    if kind <= KIND_VELOCITY:
+    if kind <= at.KIND_VELOCITY:
         error = wanted - climb
         room = accel_max if error > 0.0 else accel_down
         push += limited(sqrt_controller(error, jerk / room, jerk, dt_s), -accel_down, accel_max)
     change = limited(push - acceleration, -jerk * dt_s, jerk * dt_s)
-    memory[DESIRED_ACCELERATION + 2] = acceleration + change
-    if kind == KIND_TRAJECTORY:
-        setpoint[SET_POSITION + 2] += feed_v * dt_s + 0.5 * feed_a * dt_s * dt_s
-    if KIND_TRAJECTORY <= kind <= KIND_VELOCITY:
-        setpoint[SET_VELOCITY + 2] += feed_a * dt_s
+    memory[at.DESIRED_ACCELERATION + 2] = acceleration + change
+    if kind == at.KIND_TRAJECTORY:
+        setpoint[at.POSITION + 2] += feed_v * dt_s + 0.5 * feed_a * dt_s * dt_s
+    if at.KIND_TRAJECTORY <= kind <= at.KIND_VELOCITY:
+        setpoint[at.VELOCITY + 2] += feed_a * dt_s
 
 
 @compiled
@@ -342,44 +291,44 @@ def correct_up(
     height: float, climb: float, setpoint: FloatArray, gains: FloatArray, memory: FloatArray, dt_s: float
 ) -> None:
     """Height P, climb-rate PI, lift PI about the desired climb: thrust for the motors."""
-    accel_max = max(setpoint[ACCEL_UP], 0.1)
-    error = memory[DESIRED_POSITION + 2] - height
-    most_up = inverse_sqrt_controller(max(setpoint[SPEED_UP], 0.05), gains[HEIGHT_P], accel_max)
-    most_down = inverse_sqrt_controller(max(setpoint[SPEED_DOWN], 0.05), gains[HEIGHT_P], accel_max)
+    accel_max = max(setpoint[at.ACCEL_UP], 0.1)
+    error = memory[at.DESIRED_POSITION + 2] - height
+    most_up = inverse_sqrt_controller(max(setpoint[at.SPEED_UP], 0.05), gains[at.HEIGHT_P], accel_max)
+    most_down = inverse_sqrt_controller(max(setpoint[at.SPEED_DOWN], 0.05), gains[at.HEIGHT_P], accel_max)
     bounded = limited(error, -most_down, most_up)
     if bounded != error:
-        memory[DESIRED_POSITION + 2] = height + bounded
+        memory[at.DESIRED_POSITION + 2] = height + bounded
         error = bounded
-    memory[POSITION_ERROR + 2] = error
-    wanted = memory[DESIRED_VELOCITY + 2] + sqrt_controller(error, gains[HEIGHT_P], accel_max, dt_s)
-    memory[TARGET_VELOCITY + 2] = wanted
-    share = low_pass_share(gains[CLIMB_FLTE], dt_s)
-    memory[VELOCITY_ERROR + 2] += share * (wanted - climb - memory[VELOCITY_ERROR + 2])
-    off = memory[VELOCITY_ERROR + 2]
-    stuck = (memory[LIMIT_LOWER] > 0.0 and off < 0.0) or (memory[LIMIT_UPPER] > 0.0 and off > 0.0)
+    memory[at.POSITION_ERROR + 2] = error
+    wanted = memory[at.DESIRED_VELOCITY + 2] + sqrt_controller(error, gains[at.HEIGHT_P], accel_max, dt_s)
+    memory[at.TARGET_VELOCITY + 2] = wanted
+    share = low_pass_share(gains[at.CLIMB_FLTE], dt_s)
+    memory[at.VELOCITY_ERROR + 2] += share * (wanted - climb - memory[at.VELOCITY_ERROR + 2])
+    off = memory[at.VELOCITY_ERROR + 2]
+    stuck = (memory[at.LIMIT_LOWER] > 0.0 and off < 0.0) or (memory[at.LIMIT_UPPER] > 0.0 and off > 0.0)
     if not stuck:
-        grown = memory[VELOCITY_INTEGRAL + 2] + off * gains[CLIMB_I] * dt_s
-        memory[VELOCITY_INTEGRAL + 2] = limited(grown, -gains[CLIMB_IMAX], gains[CLIMB_IMAX])
-    lift = memory[DESIRED_ACCELERATION + 2] + gains[CLIMB_P] * off + memory[VELOCITY_INTEGRAL + 2]
-    memory[TARGET_ACCELERATION + 2] = lift
-    off_lift = lift - memory[MEASURED_LIFT]
-    if memory[LIFT_STARTED] > 0.0:
-        off_lift = memory[LIFT_ERROR] + low_pass_share(gains[LIFT_FLTE], dt_s) * (
-            off_lift - memory[LIFT_ERROR]
+        grown = memory[at.VELOCITY_INTEGRAL + 2] + off * gains[at.CLIMB_I] * dt_s
+        memory[at.VELOCITY_INTEGRAL + 2] = limited(grown, -gains[at.CLIMB_IMAX], gains[at.CLIMB_IMAX])
+    lift = memory[at.DESIRED_ACCELERATION + 2] + gains[at.CLIMB_P] * off + memory[at.VELOCITY_INTEGRAL + 2]
+    memory[at.TARGET_ACCELERATION + 2] = lift
+    off_lift = lift - memory[at.MEASURED_LIFT]
+    if memory[at.LIFT_STARTED] > 0.0:
+        off_lift = memory[at.LIFT_ERROR] + low_pass_share(gains[at.LIFT_FLTE], dt_s) * (
+            off_lift - memory[at.LIFT_ERROR]
         )
-    memory[LIFT_STARTED] = 1.0
-    memory[LIFT_ERROR] = off_lift
-    limits = memory[LIMIT_LOWER] > 0.0 or memory[LIMIT_UPPER] > 0.0
-    if not limits or memory[LIFT_INTEGRAL] * off_lift < 0.0:
-        grown = memory[LIFT_INTEGRAL] + off_lift * gains[LIFT_I] * dt_s
-        memory[LIFT_INTEGRAL] = limited(grown, -gains[LIFT_IMAX], gains[LIFT_IMAX])
-    thrust = gains[HOVER_THRUST] + gains[LIFT_P] * off_lift + memory[LIFT_INTEGRAL]
+    memory[at.LIFT_STARTED] = 1.0
+    memory[at.LIFT_ERROR] = off_lift
+    limits = memory[at.LIMIT_LOWER] > 0.0 or memory[at.LIMIT_UPPER] > 0.0
+    if not limits or memory[at.LIFT_INTEGRAL] * off_lift < 0.0:
+        grown = memory[at.LIFT_INTEGRAL] + off_lift * gains[at.LIFT_I] * dt_s
+        memory[at.LIFT_INTEGRAL] = limited(grown, -gains[at.LIFT_IMAX], gains[at.LIFT_IMAX])
+    thrust = gains[at.HOVER_THRUST] + gains[at.LIFT_P] * off_lift + memory[at.LIFT_INTEGRAL]
     give_throttle(thrust, gains, memory, THROTTLE_CUTOFF_HZ)
-    ratio = memory[CLIMB_RATIO] + dt_s * 0.1 * (0.5 + off / max(setpoint[SPEED_DOWN], 0.05))
-    memory[CLIMB_RATIO] = limited(ratio, 0.0, 2.0)
-    if memory[LIMIT_UPPER] > 0.0:
-        memory[LIMIT_VECTOR + 2] = 1.0
-    elif memory[LIMIT_LOWER] > 0.0:
-        memory[LIMIT_VECTOR + 2] = -1.0
+    ratio = memory[at.CLIMB_RATIO] + dt_s * 0.1 * (0.5 + off / max(setpoint[at.SPEED_DOWN], 0.05))
+    memory[at.CLIMB_RATIO] = limited(ratio, 0.0, 2.0)
+    if memory[at.LIMIT_UPPER] > 0.0:
+        memory[at.LIMIT_VECTOR + 2] = 1.0
+    elif memory[at.LIMIT_LOWER] > 0.0:
+        memory[at.LIMIT_VECTOR + 2] = -1.0
     else:
-        memory[LIMIT_VECTOR + 2] = 0.0
+        memory[at.LIMIT_VECTOR + 2] = 0.0

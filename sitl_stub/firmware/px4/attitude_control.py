@@ -16,29 +16,6 @@ from sitl_stub.physics.compiled import compiled
 
 FloatArray = NDArray[np.float64]
 
-ATTITUDE_P = at.ATTITUDE_P
-YAW_WEIGHT = at.YAW_WEIGHT
-RATE_LIMIT = at.RATE_LIMIT
-RATE_P = at.RATE_P
-RATE_I = at.RATE_I
-RATE_D = at.RATE_D
-RATE_FF = at.RATE_FF
-RATE_INTEGRAL_LIMIT = at.RATE_INTEGRAL_LIMIT
-GYRO_CUTOFF_HZ = at.GYRO_CUTOFF_HZ
-GYRO_D_CUTOFF_HZ = at.GYRO_D_CUTOFF_HZ
-YAW_TORQUE_CUTOFF_HZ = at.YAW_TORQUE_CUTOFF_HZ
-TORQUE_SCALE = at.TORQUE_SCALE
-RATE_INTEGRAL = at.RATE_INTEGRAL
-GYRO_DELAY_1 = at.GYRO_DELAY_1
-GYRO_DELAY_2 = at.GYRO_DELAY_2
-RATE_FILTERED = at.RATE_FILTERED
-RATE_ACCELERATION = at.RATE_ACCELERATION
-YAW_TORQUE_FILTERED = at.YAW_TORQUE_FILTERED
-SATURATED_HIGH = at.SATURATED_HIGH
-SATURATED_LOW = at.SATURATED_LOW
-STARTED = at.STARTED
-OUT_RATES = at.OUT_RATES
-OUT_TORQUE = at.OUT_TORQUE
 
 INTEGRATOR_FADE_RATE = math.radians(400.0)
 """Rate error at which the rate integrator stops, rad/s (PX4: against bounce-back after flips)."""
@@ -48,7 +25,7 @@ INTEGRATOR_FADE_RATE = math.radians(400.0)
 def attitude_to_rates(
     q: FloatArray, target: FloatArray, yaw_rate: float, gains: FloatArray, memory: FloatArray
 ) -> None:
-    """Rate setpoint (rad/s, FRD) for attitude `q` (4,) to reach `target` (4,), into memory[OUT_RATES].
+    """Rate setpoint (rad/s, FRD) for attitude `q` (4,) to reach `target` (4,), into memory[at.OUT_RATES].
 
     Tilt is corrected along the shortest way, yaw with its own weight; `yaw_rate` (about the world's down axis) is fed
     forward. Degenerate targets (half a turn away) follow `target` as a whole.
@@ -78,7 +55,7 @@ def attitude_to_rates(
             tw, tz = -tw, -tz
         tw = min(max(tw, -1.0), 1.0)
         tz = min(max(tz, -1.0), 1.0)
-        weight = gains[YAW_WEIGHT]
+        weight = gains[at.YAW_WEIGHT]
         cw, cz = math.cos(weight * math.acos(tw)), math.sin(weight * math.asin(tz))
         mw = ew * cw - ez * cz
         mx = ex * cw + ey * cz
@@ -90,19 +67,19 @@ def attitude_to_rates(
     error_y = sign * (w0 * my + x0 * mz - y0 * mw - z0 * mx)
     error_z = sign * (w0 * mz - x0 * my + y0 * mx - z0 * mw)
     rates = (
-        gains[ATTITUDE_P] * error_x + yaw_rate * 2.0 * (x0 * z0 - w0 * y0),
-        gains[ATTITUDE_P + 1] * error_y + yaw_rate * 2.0 * (y0 * z0 + w0 * x0),
-        gains[ATTITUDE_P + 2] * error_z + yaw_rate * az,
+        gains[at.ATTITUDE_P] * error_x + yaw_rate * 2.0 * (x0 * z0 - w0 * y0),
+        gains[at.ATTITUDE_P + 1] * error_y + yaw_rate * 2.0 * (y0 * z0 + w0 * x0),
+        gains[at.ATTITUDE_P + 2] * error_z + yaw_rate * az,
     )
     for i in range(3):
-        limit = gains[RATE_LIMIT + i]
-        memory[OUT_RATES + i] = min(max(rates[i], -limit), limit)
+        limit = gains[at.RATE_LIMIT + i]
+        memory[at.OUT_RATES + i] = min(max(rates[i], -limit), limit)
 
 
 @compiled
 def filter_gyro(gyro: FloatArray, gains: FloatArray, memory: FloatArray, dt_s: float) -> None:
     """Second-order low pass of `gyro` (3,) at IMU_GYRO_CUTOFF, its slope through a first-order one at IMU_DGYRO_CUTOFF."""
-    cutoff = gains[GYRO_CUTOFF_HZ]
+    cutoff = gains[at.GYRO_CUTOFF_HZ]
     filtering = 0.0 < cutoff < 0.45 / dt_s
     b0 = a1 = a2 = 0.0
     if filtering:
@@ -111,57 +88,57 @@ def filter_gyro(gyro: FloatArray, gains: FloatArray, memory: FloatArray, dt_s: f
         b0 = ohm * ohm / c
         a1 = 2.0 * (ohm * ohm - 1.0) / c
         a2 = (1.0 - 2.0 * math.cos(math.pi / 4.0) * ohm + ohm * ohm) / c
-    slope_cutoff = gains[GYRO_D_CUTOFF_HZ]
+    slope_cutoff = gains[at.GYRO_D_CUTOFF_HZ]
     blend = dt_s / (dt_s + 1.0 / (2.0 * math.pi * slope_cutoff)) if slope_cutoff > 0.0 else 1.0
-    starting = memory[STARTED] == 0.0
+    starting = memory[at.STARTED] == 0.0
     for i in range(3):
         if filtering:
             if starting:
                 settled = gyro[i] / (1.0 + a1 + a2)
-                memory[GYRO_DELAY_1 + i] = settled
-                memory[GYRO_DELAY_2 + i] = settled
-            d1, d2 = memory[GYRO_DELAY_1 + i], memory[GYRO_DELAY_2 + i]
+                memory[at.GYRO_DELAY_1 + i] = settled
+                memory[at.GYRO_DELAY_2 + i] = settled
+            d1, d2 = memory[at.GYRO_DELAY_1 + i], memory[at.GYRO_DELAY_2 + i]
             d0 = gyro[i] - d1 * a1 - d2 * a2
             filtered = (d0 + 2.0 * d1 + d2) * b0
-            memory[GYRO_DELAY_2 + i] = d1
-            memory[GYRO_DELAY_1 + i] = d0
+            memory[at.GYRO_DELAY_2 + i] = d1
+            memory[at.GYRO_DELAY_1 + i] = d0
         else:
             filtered = gyro[i]
         if starting:
-            memory[RATE_FILTERED + i] = filtered
-        slope = (filtered - memory[RATE_FILTERED + i]) / dt_s
-        memory[RATE_ACCELERATION + i] += blend * (slope - memory[RATE_ACCELERATION + i])
-        memory[RATE_FILTERED + i] = filtered
-    memory[STARTED] = 1.0
+            memory[at.RATE_FILTERED + i] = filtered
+        slope = (filtered - memory[at.RATE_FILTERED + i]) / dt_s
+        memory[at.RATE_ACCELERATION + i] += blend * (slope - memory[at.RATE_ACCELERATION + i])
+        memory[at.RATE_FILTERED + i] = filtered
+    memory[at.STARTED] = 1.0
 
 
 @compiled
 def rates_to_torque(gains: FloatArray, memory: FloatArray, dt_s: float, integrate: bool) -> None:
-    """Normalised torque into memory[OUT_TORQUE] from memory[OUT_RATES] and the filtered gyro; integrates if `integrate`."""
+    """Normalised torque into memory[at.OUT_TORQUE] from memory[at.OUT_RATES] and the filtered gyro; may integrate."""
     for i in range(3):
-        error = memory[OUT_RATES + i] - memory[RATE_FILTERED + i]
+        error = memory[at.OUT_RATES + i] - memory[at.RATE_FILTERED + i]
         torque = (
-            gains[RATE_P + i] * error
-            + memory[RATE_INTEGRAL + i]
-            - gains[RATE_D + i] * memory[RATE_ACCELERATION + i]
-            + gains[RATE_FF + i] * memory[OUT_RATES + i]
+            gains[at.RATE_P + i] * error
+            + memory[at.RATE_INTEGRAL + i]
+            - gains[at.RATE_D + i] * memory[at.RATE_ACCELERATION + i]
+            + gains[at.RATE_FF + i] * memory[at.OUT_RATES + i]
         )
         if integrate:
-            if memory[SATURATED_HIGH + i] > 0.0:
+            if memory[at.SATURATED_HIGH + i] > 0.0:
                 error = min(error, 0.0)
-            if memory[SATURATED_LOW + i] > 0.0:
+            if memory[at.SATURATED_LOW + i] > 0.0:
                 error = max(error, 0.0)
             fade = error / INTEGRATOR_FADE_RATE
             fade = max(0.0, 1.0 - fade * fade)
-            limit = gains[RATE_INTEGRAL_LIMIT + i]
-            integral = memory[RATE_INTEGRAL + i] + fade * gains[RATE_I + i] * error * dt_s
-            memory[RATE_INTEGRAL + i] = min(max(integral, -limit), limit)
-        memory[OUT_TORQUE + i] = torque
-    cutoff = gains[YAW_TORQUE_CUTOFF_HZ]
+            limit = gains[at.RATE_INTEGRAL_LIMIT + i]
+            integral = memory[at.RATE_INTEGRAL + i] + fade * gains[at.RATE_I + i] * error * dt_s
+            memory[at.RATE_INTEGRAL + i] = min(max(integral, -limit), limit)
+        memory[at.OUT_TORQUE + i] = torque
+    cutoff = gains[at.YAW_TORQUE_CUTOFF_HZ]
     if cutoff > 0.0:
         blend = dt_s / (dt_s + 1.0 / (2.0 * math.pi * cutoff))
-        memory[YAW_TORQUE_FILTERED] += blend * (memory[OUT_TORQUE + 2] - memory[YAW_TORQUE_FILTERED])
-        memory[OUT_TORQUE + 2] = memory[YAW_TORQUE_FILTERED]
+        memory[at.YAW_TORQUE_FILTERED] += blend * (memory[at.OUT_TORQUE + 2] - memory[at.YAW_TORQUE_FILTERED])
+        memory[at.OUT_TORQUE + 2] = memory[at.YAW_TORQUE_FILTERED]
     for i in range(3):
-        torque = memory[OUT_TORQUE + i] * gains[TORQUE_SCALE + i]
-        memory[OUT_TORQUE + i] = min(max(torque, -1.0), 1.0)
+        torque = memory[at.OUT_TORQUE + i] * gains[at.TORQUE_SCALE + i]
+        memory[at.OUT_TORQUE + i] = min(max(torque, -1.0), 1.0)

@@ -16,33 +16,6 @@ from sitl_stub.physics.compiled import compiled
 
 FloatArray = NDArray[np.float64]
 
-POSITION = at.POSITION
-VELOCITY = at.VELOCITY
-ACCELERATION = at.ACCELERATION
-YAW = at.YAW
-POSITION_P = at.POSITION_P
-VELOCITY_P = at.VELOCITY_P
-VELOCITY_I = at.VELOCITY_I
-VELOCITY_D = at.VELOCITY_D
-VELOCITY_MAX_XY = at.VELOCITY_MAX_XY
-VELOCITY_MAX_UP = at.VELOCITY_MAX_UP
-VELOCITY_MAX_DOWN = at.VELOCITY_MAX_DOWN
-TILT_MAX = at.TILT_MAX
-HOVER_THRUST = at.HOVER_THRUST
-THRUST_MIN = at.THRUST_MIN
-THRUST_MAX = at.THRUST_MAX
-THRUST_XY_MARGIN = at.THRUST_XY_MARGIN
-ACCELERATION_DECOUPLED = at.ACCELERATION_DECOUPLED
-VELOCITY_D_CUTOFF_HZ = at.VELOCITY_D_CUTOFF_HZ
-VELOCITY_INTEGRAL = at.VELOCITY_INTEGRAL
-VELOCITY_PREVIOUS = at.VELOCITY_PREVIOUS
-VELOCITY_SLOPE = at.VELOCITY_SLOPE
-OUT_QUATERNION = at.OUT_QUATERNION
-OUT_THRUST = at.OUT_THRUST
-OUT_ACCELERATION = at.OUT_ACCELERATION
-OUT_VELOCITY = at.OUT_VELOCITY
-OUT_THRUST_NED = at.OUT_THRUST_NED
-TRAJECTORY_RUNNING = at.TRAJECTORY_RUNNING
 ONE_G = 9.80665
 
 
@@ -81,49 +54,51 @@ def trajectory_to_attitude(
 
     Raises nothing; a setpoint with no level at all on an axis is read as zero acceleration there.
     """
-    if memory[TRAJECTORY_RUNNING] == 0.0:
+    if memory[at.TRAJECTORY_RUNNING] == 0.0:
         for i in range(3):
-            memory[VELOCITY_PREVIOUS + i] = velocity[i]
-            memory[VELOCITY_SLOPE + i] = 0.0
-            memory[VELOCITY_INTEGRAL + i] = 0.0
-        memory[TRAJECTORY_RUNNING] = 1.0
-    cutoff = gains[VELOCITY_D_CUTOFF_HZ]
+            memory[at.VELOCITY_PREVIOUS + i] = velocity[i]
+            memory[at.VELOCITY_SLOPE + i] = 0.0
+            memory[at.VELOCITY_INTEGRAL + i] = 0.0
+        memory[at.TRAJECTORY_RUNNING] = 1.0
+    cutoff = gains[at.VELOCITY_D_CUTOFF_HZ]
     blend = dt_s / (dt_s + 1.0 / (2.0 * math.pi * cutoff)) if cutoff > 0.0 else 1.0
     for i in range(3):
-        slope = (velocity[i] - memory[VELOCITY_PREVIOUS + i]) / dt_s
-        memory[VELOCITY_SLOPE + i] += blend * (slope - memory[VELOCITY_SLOPE + i])
-        memory[VELOCITY_PREVIOUS + i] = velocity[i]
+        slope = (velocity[i] - memory[at.VELOCITY_PREVIOUS + i]) / dt_s
+        memory[at.VELOCITY_SLOPE + i] += blend * (slope - memory[at.VELOCITY_SLOPE + i])
+        memory[at.VELOCITY_PREVIOUS + i] = velocity[i]
 
     for i in range(3):
         from_position = 0.0
-        if not math.isnan(setpoint[POSITION + i]):
-            from_position = (setpoint[POSITION + i] - position[i]) * gains[POSITION_P + i]
-        memory[OUT_VELOCITY + i] = from_position
-    feed_x, feed_y = setpoint[VELOCITY], setpoint[VELOCITY + 1]
+        if not math.isnan(setpoint[at.POSITION + i]):
+            from_position = (setpoint[at.POSITION + i] - position[i]) * gains[at.POSITION_P + i]
+        memory[at.OUT_VELOCITY + i] = from_position
+    feed_x, feed_y = setpoint[at.VELOCITY], setpoint[at.VELOCITY + 1]
     vx, vy = _limit_xy(
-        memory[OUT_VELOCITY],
-        memory[OUT_VELOCITY + 1],
+        memory[at.OUT_VELOCITY],
+        memory[at.OUT_VELOCITY + 1],
         0.0 if math.isnan(feed_x) else feed_x,
         0.0 if math.isnan(feed_y) else feed_y,
-        gains[VELOCITY_MAX_XY],
+        gains[at.VELOCITY_MAX_XY],
     )
-    memory[OUT_VELOCITY] = vx
-    memory[OUT_VELOCITY + 1] = vy
-    vz = memory[OUT_VELOCITY + 2] + (0.0 if math.isnan(setpoint[VELOCITY + 2]) else setpoint[VELOCITY + 2])
-    memory[OUT_VELOCITY + 2] = min(max(vz, -gains[VELOCITY_MAX_UP]), gains[VELOCITY_MAX_DOWN])
+    memory[at.OUT_VELOCITY] = vx
+    memory[at.OUT_VELOCITY + 1] = vy
+    vz = memory[at.OUT_VELOCITY + 2] + (
+        0.0 if math.isnan(setpoint[at.VELOCITY + 2]) else setpoint[at.VELOCITY + 2]
+    )
+    memory[at.OUT_VELOCITY + 2] = min(max(vz, -gains[at.VELOCITY_MAX_UP]), gains[at.VELOCITY_MAX_DOWN])
 
-    hover = gains[HOVER_THRUST]
+    hover = gains[at.HOVER_THRUST]
     error_x = error_y = error_z = 0.0
-    memory[VELOCITY_INTEGRAL + 2] = min(max(memory[VELOCITY_INTEGRAL + 2], -ONE_G), ONE_G)
+    memory[at.VELOCITY_INTEGRAL + 2] = min(max(memory[at.VELOCITY_INTEGRAL + 2], -ONE_G), ONE_G)
     for i in range(3):
-        feed = setpoint[ACCELERATION + i]
+        feed = setpoint[at.ACCELERATION + i]
         acceleration = 0.0 if math.isnan(feed) else feed
-        if not (math.isnan(setpoint[POSITION + i]) and math.isnan(setpoint[VELOCITY + i])):
-            error = memory[OUT_VELOCITY + i] - velocity[i]
+        if not (math.isnan(setpoint[at.POSITION + i]) and math.isnan(setpoint[at.VELOCITY + i])):
+            error = memory[at.OUT_VELOCITY + i] - velocity[i]
             acceleration += (
-                gains[VELOCITY_P + i] * error
-                + memory[VELOCITY_INTEGRAL + i]
-                - gains[VELOCITY_D + i] * memory[VELOCITY_SLOPE + i]
+                gains[at.VELOCITY_P + i] * error
+                + memory[at.VELOCITY_INTEGRAL + i]
+                - gains[at.VELOCITY_D + i] * memory[at.VELOCITY_SLOPE + i]
             )
             if i == 0:
                 error_x = error
@@ -131,15 +106,15 @@ def trajectory_to_attitude(
                 error_y = error
             else:
                 error_z = error
-        memory[OUT_ACCELERATION + i] = acceleration
+        memory[at.OUT_ACCELERATION + i] = acceleration
 
-    ax, ay, az = memory[OUT_ACCELERATION], memory[OUT_ACCELERATION + 1], memory[OUT_ACCELERATION + 2]
-    up_force = ONE_G if gains[ACCELERATION_DECOUPLED] > 0.0 else ONE_G - az
+    ax, ay, az = memory[at.OUT_ACCELERATION], memory[at.OUT_ACCELERATION + 1], memory[at.OUT_ACCELERATION + 2]
+    up_force = ONE_G if gains[at.ACCELERATION_DECOUPLED] > 0.0 else ONE_G - az
     # body z points down: against the wanted thrust
     bx, by, bz = -ax, -ay, max(up_force, 1e-3)
     norm = math.sqrt(bx * bx + by * by + bz * bz)
     bx, by, bz = bx / norm, by / norm, bz / norm
-    tilt_limit = gains[TILT_MAX]
+    tilt_limit = gains[at.TILT_MAX]
     if bz < math.cos(tilt_limit):
         level = math.hypot(bx, by)
         bx, by, bz = (
@@ -147,38 +122,38 @@ def trajectory_to_attitude(
             by / level * math.sin(tilt_limit),
             math.cos(tilt_limit),
         )
-    collective = min((az * hover / ONE_G - hover) / bz, -gains[THRUST_MIN])
+    collective = min((az * hover / ONE_G - hover) / bz, -gains[at.THRUST_MIN])
     tx, ty, tz = bx * collective, by * collective, bz * collective
 
-    most = gains[THRUST_MAX]
-    if (tz >= -gains[THRUST_MIN] and error_z >= 0.0) or (tz <= -most and error_z <= 0.0):
+    most = gains[at.THRUST_MAX]
+    if (tz >= -gains[at.THRUST_MIN] and error_z >= 0.0) or (tz <= -most and error_z <= 0.0):
         error_z = 0.0
     level = math.hypot(tx, ty)
-    kept = min(level, gains[THRUST_XY_MARGIN])
+    kept = min(level, gains[at.THRUST_XY_MARGIN])
     tz = max(tz, -math.sqrt(most * most - kept * kept))
     level_most = math.sqrt(max(most * most - tz * tz, 0.0))
     if level > level_most:
         tx, ty = tx / level * level_most, ty / level * level_most
     made_x, made_y = tx * ONE_G / hover, ty * ONE_G / hover
     if ax * ax + ay * ay > made_x * made_x + made_y * made_y:
-        back = 2.0 / gains[VELOCITY_P] if gains[VELOCITY_P] > 0.0 else 0.0
+        back = 2.0 / gains[at.VELOCITY_P] if gains[at.VELOCITY_P] > 0.0 else 0.0
         error_x -= back * (ax - made_x)
         error_y -= back * (ay - made_y)
-    memory[VELOCITY_INTEGRAL] += error_x * gains[VELOCITY_I] * dt_s
-    memory[VELOCITY_INTEGRAL + 1] += error_y * gains[VELOCITY_I + 1] * dt_s
-    memory[VELOCITY_INTEGRAL + 2] += error_z * gains[VELOCITY_I + 2] * dt_s
+    memory[at.VELOCITY_INTEGRAL] += error_x * gains[at.VELOCITY_I] * dt_s
+    memory[at.VELOCITY_INTEGRAL + 1] += error_y * gains[at.VELOCITY_I + 1] * dt_s
+    memory[at.VELOCITY_INTEGRAL + 2] += error_z * gains[at.VELOCITY_I + 2] * dt_s
 
-    memory[OUT_THRUST_NED] = tx
-    memory[OUT_THRUST_NED + 1] = ty
-    memory[OUT_THRUST_NED + 2] = tz
-    memory[OUT_THRUST] = math.sqrt(tx * tx + ty * ty + tz * tz)
-    heading = yaw if math.isnan(setpoint[YAW]) else setpoint[YAW]
+    memory[at.OUT_THRUST_NED] = tx
+    memory[at.OUT_THRUST_NED + 1] = ty
+    memory[at.OUT_THRUST_NED + 2] = tz
+    memory[at.OUT_THRUST] = math.sqrt(tx * tx + ty * ty + tz * tz)
+    heading = yaw if math.isnan(setpoint[at.YAW]) else setpoint[at.YAW]
     _thrust_direction_to_quaternion(tx, ty, tz, heading, memory)
 
 
 @compiled
 def _thrust_direction_to_quaternion(tx: float, ty: float, tz: float, yaw: float, memory: FloatArray) -> None:
-    """Attitude with body z against the thrust vector and x looking along `yaw`, into memory[OUT_QUATERNION]."""
+    """Attitude with body z against the thrust vector and x looking along `yaw`, into memory[at.OUT_QUATERNION]."""
     norm = math.sqrt(tx * tx + ty * ty + tz * tz)
     zx, zy, zz = (-tx / norm, -ty / norm, -tz / norm) if norm > 1e-9 else (0.0, 0.0, 1.0)
     # x = y_c × z with y_c = (−sin ψ, cos ψ, 0)
@@ -202,7 +177,7 @@ def _thrust_direction_to_quaternion(tx: float, ty: float, tz: float, yaw: float,
     else:
         s = 2.0 * math.sqrt(1.0 + zz - xx - yy)
         w, x, y, z = (xy - yx) / s, (zx + xz) / s, (zy + yz) / s, 0.25 * s
-    memory[OUT_QUATERNION] = w
-    memory[OUT_QUATERNION + 1] = x
-    memory[OUT_QUATERNION + 2] = y
-    memory[OUT_QUATERNION + 3] = z
+    memory[at.OUT_QUATERNION] = w
+    memory[at.OUT_QUATERNION + 1] = x
+    memory[at.OUT_QUATERNION + 2] = y
+    memory[at.OUT_QUATERNION + 3] = z
