@@ -355,6 +355,8 @@ class Wire:
         self.waiting: deque[bytes] = deque()
         self.sent: list[bytes] = []
         self.notices: deque[str] = deque(maxlen=32)
+        self.sender: object = None
+        self.strangers: deque[bytes] = deque()
 
     def wait(self, timeout_s: float) -> bool:
         return bool(self.waiting)

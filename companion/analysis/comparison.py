@@ -17,7 +17,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from companion.analysis.metrics import FlightMetrics, flight_metrics
+from companion.analysis.metrics import REACTED, FlightMetrics, flight_metrics
 from companion.analysis.published import BASELINE, CONTROLLER_ORDER, PUBLISHED_RMS, improvement_percent
 from companion.analysis.table import AXES
 from companion.analysis.tracking import Tracking
@@ -109,6 +109,9 @@ def compare_flights(flights: Sequence[Flight]) -> Comparison:
     for item in used:
         if item.metrics.ended not in ("completed", "unknown"):
             notes.append(f"{item.record.path.name} ended as {item.metrics.ended!r}")
+    for item in used:
+        if reacted := [n for n in item.metrics.notes if n.startswith(REACTED)]:
+            notes.append(f"{item.record.path.name}: {reacted[0]}")
     groups: dict[str, list[FlightMetrics]] = {}
     for item in used:
         groups.setdefault(item.metrics.controller, []).append(item.metrics)

@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from companion.analysis.resets import carried
 from companion.analysis.rotation import euler_from_quaternions
 from companion.analysis.tracking import Tracking, along_trajectory, desired_euler
 from companion.flightlog.reader import FlightRecord, NumericChannel
@@ -121,7 +122,7 @@ def _sources(
     record: FlightRecord, tracking: Tracking
 ) -> Iterable[tuple[str, str, NumericChannel, Array, Array]]:
     for label, color, topic in (("flown (estimate)", ESTIMATED, "/state"), ("flown (truth)", TRUE, "/truth")):
-        channel = record.channel(topic)
+        channel = carried(record, topic)
         found = _within(channel, tracking)
         if channel is not None and found is not None:
             yield label, color, channel, found[0], found[1]

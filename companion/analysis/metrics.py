@@ -12,10 +12,13 @@ from numpy.typing import NDArray
 from companion.analysis.published import PUBLISHED_RMS
 from companion.analysis.streams import stream_delays
 from companion.analysis.tracking import Tracking, tracking_errors
+from companion.config.safety import Reaction
+from companion.flightlog.reactions import in_words, reaction_times
 from companion.flightlog.reader import FlightRecord
 
 STATISTICS = ("rms", "max", "p95")
 Triple = tuple[float, ...]
+REACTED = "not flown as asked throughout"
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +33,7 @@ class FlightMetrics:
     mass_ratio: float | None
     seed: int | None
     ended: str
+    reactions_s: dict[str, float]  # of the supervisor: seconds under each, softest first
     cut: str
     window_s: tuple[float, float] | None
     heading_deg: float | None  # yaw of the trajectory's x axis: errors are along its axes
@@ -65,6 +69,8 @@ class FlightMetrics:
             "mass_ratio": self.mass_ratio,
             "seed": self.seed,
             "ended": self.ended,
+            "reactions_s": self.reactions_s,
+            "worst_reaction": next(reversed(self.reactions_s), None),
             "judged_by": self.judged_by if self.samples else None,
             "axes": "the trajectory's own",
             "trajectory_heading_deg": self.heading_deg,
@@ -86,6 +92,9 @@ def flight_metrics(
     notes = ["this flight never tracked a trajectory"] if tracking is None else list(tracking.notes)
     if tracking is None and record.cut:
         notes.append(f"the log was cut ({record.cut}); its last record is at {record.end_time_s:.2f} s")
+    spent = _reactions(record)
+    if reacted := in_words(spent):
+        notes.append(f"{REACTED}: {reacted}")
     notes += _losses(record)
     for source, series in (tracking.series if tracking else {}).items():
         columns = {
@@ -112,6 +121,7 @@ def flight_metrics(
         mass_ratio=_number(facts.get("mass_ratio")),
         seed=None if (seed := _number(facts.get("seed"))) is None else int(seed),
         ended=how_it_ended(record),
+        reactions_s={reaction.setting: time_s for reaction, time_s in spent.items()},
         cut=record.cut,
         window_s=tracking.window_s if tracking else None,
         heading_deg=float(np.degrees(tracking.heading_rad)) if tracking else None,
@@ -130,6 +140,19 @@ def how_it_ended(record: FlightRecord) -> str:
         fields = ends[-1].fields
         return str(fields.get("outcome") or fields.get("text") or fields.get("reason") or "unknown")
     return "log cut" if record.cut else "unknown"
+
+
+def _reactions(record: FlightRecord) -> dict[Reaction, float]:
+    """Seconds under each of the supervisor's reactions, up to the last reference that was followed."""
+    changes = [
+        (event.time_s, Reaction[name])
+        for event in record.events_of("safety")
+        if "before" in event.fields
+        and (name := str(event.fields["reaction"]).upper()) in Reaction.__members__
+    ]
+    reference = record.channel("/reference")
+    end_s = record.end_time_s if reference is None or not len(reference) else float(reference.time_s[-1])
+    return reaction_times(changes, end_s)
 
 
 def _losses(record: FlightRecord) -> list[str]:

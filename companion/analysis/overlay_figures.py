@@ -20,6 +20,7 @@ from companion.analysis.figures import (
     time_figure,
 )
 from companion.analysis.published import PUBLISHED_RMS
+from companion.analysis.resets import carried
 from companion.analysis.tracking import ErrorSeries
 
 OTHER_COLORS = ("#2e7d32", "#c2185b", "#8e24aa", "#00838f")
@@ -70,7 +71,8 @@ def plane_figure(comparison: Comparison) -> Figure:
             for source, style, name in (("/reference", "--", "desired"), (topic, "-", label)):
                 if source == "/reference" and number:
                     continue
-                channel = flight.record.channels[source]
+                channel = carried(flight.record, source)
+                assert channel is not None
                 since = channel.time_s - start
                 rows = (since >= window[0]) & (since <= window[1])
                 position = on_trajectory(channel["position_enu"][rows], flight.tracking)

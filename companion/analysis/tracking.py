@@ -3,7 +3,9 @@
 Axes are the trajectory's own: a lemniscate laid out along a heading of north has its x along local y, and
 only turned back are its errors those of the report's e_x and e_y. Signs as in the report: e_p = p_d - p,
 e_η = η_d - η with the yaw wrapped. η_d is the attitude that the control law wanted (Eqs. (17), (18)) before
-any lead was added for the autopilot's lag; where a log has no terms it is the attitude that was sent.
+any lead was added for the autopilot's lag; where a log has no terms it is the attitude that was sent. The law reckons
+with the moment at which its setpoint acts, so its η_d is for that moment, up to 0.1 s after the state it was made
+of, and is compared with the attitude of that moment.
 """
 
 from __future__ import annotations
@@ -14,8 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.analysis.interpolation import hermite, inside, linear, strictly_rising
+from companion.analysis.resets import carried, resets
 from companion.analysis.rotation import euler_from_quaternions, wrap_angle
 from companion.config.errors import UserError
+from companion.flightlog.law_channels import INPUT_TOPIC
 from companion.flightlog.reader import FlightRecord, NumericChannel
 
 Array = NDArray[np.float64]
@@ -98,9 +102,13 @@ def tracking_errors(
     heading, origin = layout(record)
     if heading is None:
         notes.append("the log does not say how the trajectory was laid out: x is east, y is north")
+    if record.channel(INPUT_TOPIC) is not None and _meant_for(record) is None:
+        notes.append(
+            "the log does not say what time η_d is for: attitude errors have the prediction's lead in them"
+        )
     series = {}
     for source, topic in (("truth", "/truth"), ("estimate", "/state")):
-        channel = record.channel(topic)
+        channel = carried(record, topic)
         if channel is None:
             notes.append(f"no {source} in this log")
             continue
@@ -148,6 +156,9 @@ def _errors(
     known = reference.time_s[rows]
     times = channel.time_s
     chosen = (times >= start + window[0] - 1e-9) & (times <= start + window[1] + 1e-9) & inside(known, times)
+    for reset_s in resets(record)[0]:  # a reference from either side of a jump is that of neither
+        before_s = known[max(0, int(np.searchsorted(known, reset_s - 1e-9)) - 1)]
+        chosen &= ~((times > before_s + 1e-9) & (times < reset_s - 1e-9))
     if not chosen.any():
         return None
     at = times[chosen]
@@ -165,10 +176,14 @@ def _errors(
 
 
 def desired_euler(record: FlightRecord) -> tuple[Array, Array] | None:
-    """Return times (n,) and η_d (n, 3) rad without jumps, or None in a log without either source of it."""
+    """Return the times (n,) it is for and η_d (n, 3) rad without jumps, or None in a log without either source of it."""
     terms, setpoint = record.channel("/terms"), record.channel("/setpoint")
     if terms is not None and "euler_desired" in terms:
         times, euler = terms.time_s, terms["euler_desired"]
+        meant = _meant_for(record)
+        if meant is not None:
+            count = min(len(times), len(meant))  # a cut can fall between the two
+            times, euler = meant[:count], euler[:count]
     elif setpoint is not None and "quaternion_wxyz" in setpoint:
         times, euler = setpoint.time_s, euler_from_quaternions(setpoint["quaternion_wxyz"])
     else:
@@ -176,6 +191,12 @@ def desired_euler(record: FlightRecord) -> tuple[Array, Array] | None:
     rows = strictly_rising(times)
     rows = rows[np.isfinite(euler[rows]).all(axis=1)]
     return (times[rows], np.unwrap(euler[rows], axis=0)) if len(rows) > 1 else None
+
+
+def _meant_for(record: FlightRecord) -> Array | None:
+    """Times (n,) that the rows of /terms are for; None in a log of before they were written down."""
+    inputs = record.channel(INPUT_TOPIC)
+    return inputs["time"] if inputs is not None and "time" in inputs else None
 
 
 def _attitude_error(record: FlightRecord, at: Array, euler: Array) -> Array:

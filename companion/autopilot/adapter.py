@@ -48,6 +48,15 @@ STATUS_MESSAGES = frozenset(
 """Messages that `VehicleStatus` knows."""
 
 
+Version = tuple[int, int, int]
+"""Major, minor, patch of AUTOPILOT_VERSION.flight_sw_version."""
+
+
+def version_text(version: Version | None) -> str:
+    """A version for people."""
+    return "of unknown version" if version is None else ".".join(map(str, version))
+
+
 class Verdict(enum.Enum):
     """How a preflight check ended."""
 
@@ -84,7 +93,7 @@ def held_setpoint(name: str, held_s: float, longest_s: float, remedy: str, level
         remedy: how it is set, up to the value.
         level: of the flight.
     """
-    wanted_s, why = 1.0, "a dead companion is noticed this late only"
+    wanted_s, why = min(1.0, longest_s), "a dead companion is noticed this late only"
     if level is not ControlLevel.ATTITUDE:
         longest_s = wanted_s = RATES_HELD_S
         why = (
@@ -125,9 +134,16 @@ class VehicleStatus:
     battery_voltage_v: float | None = None
     global_origin: tuple[float, float, float] | None = None  # latitude °, longitude °, altitude m
     texts: list[tuple[int, str]] = field(default_factory=list)  # (severity, text), newest last, bounded
+    height_accuracy_m: float | None = None  # by how much the estimated height may be wrong (ESTIMATOR_STATUS)
+    receiver_healthy: bool | None = None  # None: not told, or no receiver enabled
+    heard_s: dict[int, float] = field(
+        default_factory=dict
+    )  # message number → when it came, autopilot's clock
+    ahrs_tells_estimator: bool = False  # whether SYS_STATUS' attitude estimate stands for the whole estimator
+    estimator_told_s: float | None = None  # when anything last told of the estimator
 
-    def take(self, message: Message) -> None:
-        """Take one message; ignores what it does not know."""
+    def take(self, message: Message, time_s: float = 0.0) -> None:
+        """Take one message that came at `time_s`, the autopilot's clock; ignores what it does not know."""
         kind = message.get_msgId()
         if kind == mav.MAVLINK_MSG_ID_HEARTBEAT:
             self.custom_mode = message.custom_mode
@@ -142,6 +158,11 @@ class VehicleStatus:
             self.prearm_ok = bool(healthy) if present else None
             sick = message.onboard_control_sensors_enabled & ~message.onboard_control_sensors_health
             self.sensors_unhealthy = float((sick & _VITAL_SENSORS).bit_count())
+            enabled = message.onboard_control_sensors_enabled
+            receiver = enabled & mav.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
+            self.receiver_healthy = not sick & receiver if receiver else None
+            if self.ahrs_tells_estimator and enabled & mav.MAV_SYS_STATUS_AHRS:
+                self.estimator_told_s = time_s
             self.battery_remaining = (
                 message.battery_remaining / 100.0 if message.battery_remaining >= 0 else None
             )
@@ -149,9 +170,15 @@ class VehicleStatus:
                 message.voltage_battery / 1000.0 if message.voltage_battery != 65535 else None
             )
         elif kind in (mav.MAVLINK_MSG_ID_ESTIMATOR_STATUS, mav.MAVLINK_MSG_ID_EKF_STATUS_REPORT):
+            self.estimator_told_s = time_s
             self.estimator_flags = message.flags  # the low bits mean the same in both messages
             names = _ESTIMATOR_RATIOS if kind == mav.MAVLINK_MSG_ID_ESTIMATOR_STATUS else _EKF_VARIANCES
             ratios = [float(getattr(message, name)) for name in names]
+            if kind == mav.MAVLINK_MSG_ID_ESTIMATOR_STATUS:
+                accuracy_m = float(message.pos_vert_accuracy)
+                self.height_accuracy_m = (
+                    accuracy_m if accuracy_m > 0.0 and math.isfinite(accuracy_m) else None
+                )
             self.innovation_ratio = max((ratio for ratio in ratios if math.isfinite(ratio)), default=None)
         elif kind == mav.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN:
             self.global_origin = (message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3)
@@ -170,6 +197,8 @@ class Adapter(ABC):
     """The message a simulation of this autopilot gives its true state in."""
     estimator_message_id: int
     """The message that tells what the estimator knows: ESTIMATOR_STATUS or EKF_STATUS_REPORT."""
+    ahrs_tells_estimator: bool
+    """Whether SYS_STATUS' attitude estimate is unhealthy when any part of the estimator is."""
     prearm_bit_counts: bool
     """Whether SYS_STATUS' pre-arm bit must be set before our mode is entered (on PX4 it is the current mode's)."""
     spool_time_s: float
@@ -199,9 +228,9 @@ class Adapter(ABC):
 
     @abstractmethod
     def check(
-        self, parameters: Mapping[str, float], level: ControlLevel, version: tuple[int, int, int]
+        self, parameters: Mapping[str, float], level: ControlLevel, version: Version | None
     ) -> list[Finding]:
-        """Judge parameters and firmware version for a flight at `level`."""
+        """Judge parameters and firmware version (None: not known) for a flight at `level`."""
 
     def suited(self, parameters: Mapping[str, float]) -> Adapter:
         """The adapter for a vehicle with these parameters: this one, or another one of the same autopilot."""

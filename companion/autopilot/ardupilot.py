@@ -10,13 +10,17 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from companion.autopilot.adapter import Adapter, Finding, Intent, Verdict, held_setpoint
+from companion.autopilot.adapter import Adapter, Finding, Intent, Verdict, Version, held_setpoint
 from companion.control.structs import ControlLevel
 from companion.mavlink.link import mav
 from companion.mavlink.protocol import Command
 
 THRUST_AS_THRUST = 8
 """Bit 3 of GUID_OPTIONS: SET_ATTITUDE_TARGET's thrust is thrust. Without it, it is a climb rate about 0.5."""
+
+GUIDED_HELD_S = 0.5
+"""How long the last attitude and thrust of a dead companion are borne: for the 3 s that GUID_TIMEOUT ships with, 5 % above
+hover is a climb of 2 m. A flight without states ends as soon by itself (`attitude_age_s`)."""
 
 _SOURCES = ("EK3_SRC1_POSXY", "EK3_SRC1_VELXY", "EK3_SRC1_POSZ", "EK3_SRC1_VELZ", "EK3_SRC1_YAW")
 EXTERNAL_NAVIGATION = 6.0
@@ -41,6 +45,7 @@ class ArduPilot(Adapter):
     profile_key = "ardupilot"
     truth_message_id = mav.MAVLINK_MSG_ID_SIM_STATE
     estimator_message_id = mav.MAVLINK_MSG_ID_EKF_STATUS_REPORT
+    ahrs_tells_estimator = True  # AP_AHRS::healthy
     prearm_bit_counts = True
     spool_time_s = 2.5  # 2 s arming delay and 0.5 s spool-up
     takes_local_ned_odometry = False
@@ -94,7 +99,7 @@ class ArduPilot(Adapter):
         return EXTERNAL_NAVIGATION in sources if sources else None
 
     def check(
-        self, parameters: Mapping[str, float], level: ControlLevel, version: tuple[int, int, int]
+        self, parameters: Mapping[str, float], level: ControlLevel, version: Version | None
     ) -> list[Finding]:
         """See `Adapter.check`."""
         findings = []
@@ -148,7 +153,9 @@ class ArduPilot(Adapter):
             findings.append(Finding(Verdict.OK, "ATC_ANGLE_BOOST", "0", "thrust goes through as sent"))
         timeout = parameters.get("GUID_TIMEOUT")
         if timeout is not None:
-            findings.append(held_setpoint("GUID_TIMEOUT", timeout, 3.0, "set GUID_TIMEOUT to", level))
+            findings.append(
+                held_setpoint("GUID_TIMEOUT", timeout, GUIDED_HELD_S, "set GUID_TIMEOUT to", level)
+            )
         hover = parameters.get("MOT_THST_HOVER")
         if hover is not None:
             sane = 0.1 <= hover <= 0.8
@@ -170,7 +177,7 @@ class ArduPilotNoGps(ArduPilot):
     modes = _MODES_NO_GPS
 
     def check(
-        self, parameters: Mapping[str, float], level: ControlLevel, version: tuple[int, int, int]
+        self, parameters: Mapping[str, float], level: ControlLevel, version: Version | None
     ) -> list[Finding]:
         """See `Adapter.check`."""
         mode = Finding(

@@ -29,6 +29,14 @@ LIFT_OFF_UNCERTAINTY = 0.1
 """Of the value read off a lift-off, relative: ground effect, the estimator's delay."""
 GATE = 4.0
 """Innovations beyond this many standard deviations are not believed."""
+PERSISTS_S = 1.0
+"""For as long as they all lie on one side, it is the estimate that is not believed: it was read off something that was
+no lift-off, say a deck that rose."""
+RETURN_RATE = 0.1
+"""Relative change per second with which such an estimate goes back: thrust follows at once, the law's integral, which
+had made up for the error, in a second or two."""
+MOST_PENDING = 256
+"""Setpoints on their way to the rotors: 0.5 s of them at 500 Hz."""
 
 
 class HoverThrustEstimator:
@@ -41,12 +49,14 @@ class HoverThrustEstimator:
         self._variance = (FIRST_UNCERTAINTY * self._slope) ** 2
         self._dead_time_s = dead_time_s
         self._lag_rad_s = rotor_lag_rad_s
-        self._pending: deque[tuple[float, float]] = deque()  # (when it acts, setpoint)
+        # (when it acts, setpoint); while nobody updates, as when idling on the ground, the oldest are forgotten
+        self._pending: deque[tuple[float, float]] = deque(maxlen=MOST_PENDING)
         self._acting = first
         self._lagged = first
         self._effort = 0.0  # ∫ lagged setpoint · cos(tilt) dt
         self._past: deque[tuple[float, float, float]] = deque()  # time, vertical velocity, effort
         self._last_s = math.nan
+        self._beyond_s = 0.0  # for how long every innovation was beyond the gate; its sign says on which side
 
     @property
     def hover_thrust(self) -> float:
@@ -111,16 +121,26 @@ class HoverThrustEstimator:
 
     def _correct(self, force_per_mass: float, effort: float, span_s: float) -> None:
         self._variance += (PROCESS_NOISE * self._slope) ** 2 * span_s
-        self._weigh(force_per_mass, effort, ACCELERATION_NOISE_M_S2)
+        if self._weigh(force_per_mass, effort, ACCELERATION_NOISE_M_S2):
+            self._beyond_s = 0.0
+            return
+        gap = force_per_mass - self._slope * effort
+        side_s = math.copysign(span_s, gap)
+        self._beyond_s = side_s + (self._beyond_s if self._beyond_s * side_s > 0.0 else 0.0)
+        if abs(self._beyond_s) >= PERSISTS_S:
+            self._set_slope(self._slope * (1.0 + RETURN_RATE * side_s))
 
-    def _weigh(self, force_per_mass: float, effort: float, noise_m_s2: float) -> None:
-        """One measurement force/m = c · effort, in m/s² with its standard deviation."""
+    def _weigh(self, force_per_mass: float, effort: float, noise_m_s2: float) -> bool:
+        """One measurement force/m = c · effort, in m/s² with its standard deviation; False if it is not believed."""
         innovation = force_per_mass - self._slope * effort
         spread = effort * effort * self._variance + noise_m_s2**2
         if innovation * innovation > GATE * GATE * spread:
-            return
+            return False
         gain = self._variance * effort / spread
-        slope = self._slope + gain * innovation
+        self._set_slope(self._slope + gain * innovation)
+        self._variance *= 1.0 - gain * effort
+        return True
+
+    def _set_slope(self, slope: float) -> None:
         least, most = GRAVITY / (self._first * TRUST), GRAVITY / (self._first / TRUST)
         self._slope = min(most, max(least, slope))
-        self._variance *= 1.0 - gain * effort

@@ -4,7 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from companion.autopilot.adapter import Adapter, Finding, Intent, Verdict, held_setpoint
+from companion.autopilot.adapter import (
+    Adapter,
+    Finding,
+    Intent,
+    Verdict,
+    Version,
+    held_setpoint,
+    version_text,
+)
 from companion.control.structs import ControlLevel, Vector
 from companion.mavlink.frames import frd_from_flu
 from companion.mavlink.link import Message, mav
@@ -62,6 +70,7 @@ class Px4(Adapter):
     profile_key = "px4"
     truth_message_id = mav.MAVLINK_MSG_ID_HIL_STATE_QUATERNION
     estimator_message_id = mav.MAVLINK_MSG_ID_ESTIMATOR_STATUS
+    ahrs_tells_estimator = False  # it says nothing of position
     prearm_bit_counts = False
     spool_time_s = 1.0  # COM_SPOOLUP_TIME
     takes_local_ned_odometry = True
@@ -105,17 +114,17 @@ class Px4(Adapter):
         return None if fused is None else fused != 0.0
 
     def check(
-        self, parameters: Mapping[str, float], level: ControlLevel, version: tuple[int, int, int]
+        self, parameters: Mapping[str, float], level: ControlLevel, version: Version | None
     ) -> list[Finding]:
         """See `Adapter.check`."""
         findings = []
         if level is ControlLevel.ACTUATOR:
-            old_enough = version <= LAST_ACTUATOR_VERSION
+            old_enough = version is not None and version <= LAST_ACTUATOR_VERSION
             findings.append(
                 Finding(
                     Verdict.OK if old_enough else Verdict.REFUSAL,
                     "actuator controls",
-                    f"firmware {'.'.join(map(str, version))}",
+                    f"firmware {version_text(version)}",
                     ""
                     if old_enough
                     else "PX4 takes SET_ACTUATOR_CONTROL_TARGET up to 1.13 only; later ones ignore it",

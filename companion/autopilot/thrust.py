@@ -26,11 +26,19 @@ class ThrustScale:
     mass_kg: float  # that is carried then: the true mass, not the assumed m̂
     rotor_max_newton: float  # one rotor at full throttle
     mixer: Vector  # (N, 4): rotor command = mixer @ (roll, pitch, yaw, thrust), FLU; see `mixer_of`
+    least: float = LEAST_THRUST  # bounds of flight on the setpoint: the profile's thrust_min_ratio
+    most: float = 1.0  # and thrust_max_ratio
 
     @property
     def full_newton(self) -> float:
         """Total thrust in N at setpoint 1."""
         return self.mass_kg * GRAVITY / self.hover_thrust
+
+    @property
+    def bounds_newton(self) -> tuple[float, float]:
+        """Least and greatest total thrust in N that a law may ask for by this scale, so that nothing is cut behind it."""
+        full = self.full_newton
+        return max(self.least, LEAST_THRUST) * full, self.most * full
 
     def normalised(self, thrust_newton: float) -> float:
         """Setpoint for a total thrust, bounded to [LEAST_THRUST, 1]."""

@@ -27,8 +27,8 @@ EPILOG = """examples:
   companion fly --endpoint /dev/ttyACM0,921600 --profile my_drone.toml --trajectory hover
 
 Ctrl-C lands; a second Ctrl-C hands back to the autopilot at once. A vehicle that is not a simulation is armed by
-its pilot, unless --arm is given. Exit codes: 0 flown as planned, 1 the link was lost, 2 refused or wrong input,
-3 ended early and landed or handed back.
+its pilot, unless --arm is given. Exit codes: 0 flown as planned, 1 the link was lost, or the autopilot took
+no mode that was asked for, 2 refused or wrong input, 3 ended early and landed or handed back.
 """
 
 
@@ -114,8 +114,21 @@ def add_link_options(parser: argparse.ArgumentParser) -> None:
         "--link", default="pymavlink", choices=("pymavlink", "mavsdk"), help="what carries the bytes"
     )
     parser.add_argument(
+        "--system",
+        type=system_id,
+        metavar="N",
+        help="the autopilot with this MAVLink system id; needed where several share the link",
+    )
+    parser.add_argument(
         "--signing-key", metavar="FILE", help="sign with this key, believe nothing else (docs/links.md)"
     )
+
+
+def system_id(text: str) -> int:
+    """A MAVLink system id. Raises ArgumentTypeError for anything but 1 to 255."""
+    if not text.isdecimal() or not 1 <= int(text) <= 255:
+        raise argparse.ArgumentTypeError(f"{text!r} is no MAVLink system id: give 1 to 255")
+    return int(text)
 
 
 def connection_from(arguments: argparse.Namespace, address: str) -> Connection:
@@ -124,17 +137,19 @@ def connection_from(arguments: argparse.Namespace, address: str) -> Connection:
     from companion.mavlink.endpoint import parse_endpoint
 
     key = Path(arguments.signing_key) if arguments.signing_key else None
-    return Connection(parse_endpoint(address), LinkLibrary(arguments.link), key)
+    return Connection(parse_endpoint(address), LinkLibrary(arguments.link), key, arguments.system)
 
 
 def pose_address(text: str | None, option: str = "--outside-poses") -> tuple[str, int] | None:
     """`[HOST:]PORT`; without a host this machine only. Raises UserError for anything else."""
+    from companion.mavlink.endpoint import checked_host
+
     if text is None:
         return None
     host, _, port = text.rpartition(":")
     if not port.isdecimal() or not 0 < int(port) < 65536:
         raise UserError(f"{option} {text!r}: not [HOST:]PORT; use for example 0.0.0.0:14600")
-    return host or "127.0.0.1", int(port)
+    return checked_host(f"{option} {text!r}", host) or "127.0.0.1", int(port)
 
 
 def _pose_rate(rate_hz: float) -> float:

@@ -8,6 +8,7 @@ import sys
 import time
 from typing import Any
 
+from companion.cli.fly import system_id
 from companion.config.errors import UserError
 
 EPILOG = """examples:
@@ -31,6 +32,9 @@ def add_parser(subparsers: Any) -> None:
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument(
         "--truth", metavar="ADDRESS", help="a simulator's MAVLink link with HIL_STATE_QUATERNION"
+    )
+    parser.add_argument(
+        "--system", type=system_id, metavar="N", help="of the simulator, where several are heard"
     )
     what.add_argument("--circle", action="store_true", help="a level circle, 1 m radius, 10 s")
     parser.add_argument("--to", required=True, metavar="HOST:PORT", help="where the poses go")
@@ -74,7 +78,11 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.drop,
     )
     transport = open_transport(parse_endpoint(arguments.truth)) if arguments.truth else None
-    poses = true_poses(transport, arguments.rate) if transport else circle_poses(arguments.rate)
+    poses = (
+        true_poses(transport, arguments.rate, system=arguments.system)
+        if transport
+        else circle_poses(arguments.rate)
+    )
     sender = PoseSender(target, flaws, arguments.seed, arguments.form == "binary")
     begun_s = time.monotonic()
     told_s = begun_s

@@ -79,7 +79,10 @@ class AutopilotResponse(SettingsModel):
     rate_dead_time_s: NotNegative = 0.01
     """The same for a body-rate setpoint, s."""
     actuator_dead_time_s: NotNegative = 0.0
-    """The same for thrust and torque, s."""
+    """The same for thrust and torque at the actuator level, s."""
+    thrust_dead_time_s: NotNegative = 0.01
+    """From sending an attitude or body-rate setpoint to the first change of its thrust, before the rotors' lag, s: it
+    passes by the autopilot's loops, so it is shorter than the attitude's."""
     tilt: SecondOrder
     """Roll and pitch behind an attitude setpoint."""
     yaw: SecondOrder
@@ -87,8 +90,12 @@ class AutopilotResponse(SettingsModel):
     rate_lag_s: tuple[NotNegative, NotNegative, NotNegative]
     """Roll, pitch and yaw rate behind a body-rate setpoint: first-order time constants, s."""
 
+    def thrust_dead_time(self, level: ControlLevel) -> float:
+        """Dead time of the thrust in setpoints at `level`, s."""
+        return self.actuator_dead_time_s if level is ControlLevel.ACTUATOR else self.thrust_dead_time_s
+
     def dead_time(self, level: ControlLevel) -> float:
-        """Dead time of setpoints at `level`, s."""
+        """Dead time of setpoints at `level`, s; of their thrust, see `thrust_dead_time`."""
         if level is ControlLevel.ATTITUDE:
             return self.dead_time_s
         return self.rate_dead_time_s if level is ControlLevel.BODY_RATE else self.actuator_dead_time_s

@@ -32,9 +32,9 @@ class Reaction(enum.IntEnum):
     HOLD = 4
     """The reference comes to rest smoothly and our law holds the place; after `hold_s` the vehicle is landed."""
     LAND = 5
-    """Our setpoints stop and the autopilot lands (PX4 AUTO.LAND, ArduPilot LAND)."""
+    """The autopilot is asked to land (PX4 AUTO.LAND, ArduPilot LAND) until it does; level setpoints go on until then."""
     HAND_BACK = 6
-    """Our setpoints stop, and the autopilot is asked once to hold (AUTO.LOITER, BRAKE)."""
+    """The same with a hold (AUTO.LOITER, BRAKE), where it takes none with a landing; then we are gone."""
     DISARM = 7
     """Motors off, in the air too. Only where it is configured and `allow_disarm` is set."""
 
@@ -95,6 +95,9 @@ QUANTITIES: dict[str, Quantity] = {
     "attitude_age_s": Quantity("s", ends_by=0.5),
     "position_age_s": Quantity("s", ends_by=0.5),
     "position_stuck_s": Quantity("s"),
+    "mode_age_s": Quantity("s"),
+    "estimator_age_s": Quantity("s"),
+    "sys_status_age_s": Quantity("s"),
     "estimator_lost": Quantity("parts", ends_by=0.9),
     "innovation_ratio": Quantity(""),
     "sensors_unhealthy": Quantity("sensors"),
@@ -114,6 +117,7 @@ QUANTITIES: dict[str, Quantity] = {
     "fence_margin_m": Quantity("m", below=True, ends_by=0.0),
     "ceiling_margin_m": Quantity("m", below=True, ends_by=0.0),
     "floor_margin_m": Quantity("m", below=True),
+    "ground_support": Quantity(""),
     "battery_remaining": Quantity("", below=True),
     "battery_voltage_v": Quantity("V", below=True),
     "round_trip_s": Quantity("s"),
@@ -169,6 +173,13 @@ class SafetyLimits(SettingsModel):
     """Age of the position that the newest attitude goes with."""
     position_stuck_s: Ladder = Ladder(warn=(0.2, 0.0), freeze=(0.3, 0.0), land=(1.0, 0.0))
     """How long fresh messages have repeated one position although they say that it moves."""
+    mode_age_s: Ladder = Ladder(warn=(2.0, 0.0), land=(5.0, 0.0))
+    """Since the autopilot last told its mode (HEARTBEAT, CURRENT_MODE): whether the pilot has taken over is not known."""
+    estimator_age_s: Ladder = Ladder(warn=(1.0, 0.0), land=(3.0, 0.0))
+    """Since the estimator's state was last told (ESTIMATOR_STATUS; EKF_STATUS_REPORT or its bit in SYS_STATUS); where it
+    was told before the flight, for without it none begins."""
+    sys_status_age_s: Ladder = Ladder(warn=(2.0, 0.0), land=(10.0, 0.0))
+    """The same for SYS_STATUS: sensors and battery."""
     estimator_lost: Ladder = Ladder(warn=(0.0, 0.0), land=(0.0, 0.3))
     """What the estimator says it no longer knows: attitude, velocities, position (ESTIMATOR_STATUS, EKF_STATUS_REPORT)."""
     innovation_ratio: Ladder = Ladder(warn=(0.8, 1.0), freeze=(1.0, 0.5), land=(2.0, 2.0))
@@ -214,6 +225,9 @@ class SafetyLimits(SettingsModel):
     """Distance below the greatest height, negative above it."""
     floor_margin_m: Ladder = Ladder(land=(0.0, 0.2))
     """Distance above the least height, negative below it."""
+    ground_support: Ladder = Ladder(warn=(0.2, 0.3), land=(0.3, 0.4))
+    """Share of the weight that neither thrust nor acceleration accounts for over 0.5 s, below 2 m and from 5 s after
+    lift-off: what the ground carries. 1 where the land detector says ground, or it does not turn towards what is asked."""
     battery_remaining: Ladder = Ladder(warn=(0.25, 5.0), land=(0.12, 5.0))
     """Share of the charge that is left (SYS_STATUS); unknown counts as full."""
     battery_voltage_v: Ladder = Ladder()
@@ -264,6 +278,11 @@ class SafetyLimits(SettingsModel):
     """Our clock, in real time: a loop that has not come round for so long sends nothing more and lands, s."""
     stick_share: float = Field(default=0.15, gt=0.0, le=1.0)
     """Travel of a stick, as a share of 1000 µs, that means that the pilot takes over (RC_CHANNELS 1 to 4)."""
+    rc_lost: Literal["land", "fly_on"] = "land"
+    """What follows where the pilot's transmitter was there and is lost (RC_CHANNELS, SYS_STATUS): that is no pilot."""
+    hand_over_s: Positive = 10.0
+    """After sticks took the vehicle from us: without a mode change or a movement of the sticks for so long nobody has it,
+    and it is landed, s."""
     silence_s: Positive = 3.0
     """Silence of the whole link, on our clock, before it is given up, s."""
 

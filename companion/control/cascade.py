@@ -40,7 +40,7 @@ from companion.control.command_filter import command_filter_transition
 from companion.control.compiled import compiled
 from companion.control.flatness import euler_from_force, flat_attitude
 from companion.control.lyapunov import lyapunov
-from companion.control.network import adapt, frobenius_norm, hidden_layer
+from companion.control.network import about_up, adapt, attitude_feature, frobenius_norm, hidden_layer
 from companion.control.plant import mass_matrix_times
 from companion.control.rotation import (
     euler_from_quaternion,
@@ -62,13 +62,21 @@ GROUND = float(AdaptationGate.GROUND)
 
 @compiled
 def _finite(x: Record) -> bool:
-    total = x.dt + x.gate + x.reference_yaw + x.reference_yaw_rate + x.reference_yaw_acceleration
+    total = (
+        x.thrust_min
+        + x.thrust_max
+        + x.dt
+        + x.gate
+        + x.reference_yaw
+        + x.reference_yaw_rate
+        + x.reference_yaw_acceleration
+    )
     for i in range(3):
         total += x.position[i] + x.velocity[i] + x.body_rate[i] + x.quaternion[i]
         total += x.reference_position[i] + x.reference_velocity[i] + x.reference_acceleration[i]
         total += x.reference_jerk[i] + x.reference_snap[i]
     norm = x.quaternion[0] ** 2 + x.quaternion[1] ** 2 + x.quaternion[2] ** 2 + x.quaternion[3] ** 2
-    return math.isfinite(total) and x.dt >= 0.0 and abs(norm - 1.0) < 0.01
+    return math.isfinite(total) and x.dt >= 0.0 and x.thrust_min < x.thrust_max and abs(norm - 1.0) < 0.01
 
 
 @compiled
@@ -109,6 +117,25 @@ def _outer_loop(
 
 
 @compiled
+def network_heading(m: Record, x: Record) -> float:
+    """By how much the position network's axes are turned from ENU, rad: with the desired heading, north is 0.
+
+    V is random, so a network on the world's axes is another one in each heading, and flies otherwise: NNSMC's RMS
+    differed by a factor of two. With axes that go with ψ_d the proof stays as it is, since Ũᵀ R Ŵᵀσ = (RᵀŨ)ᵀ Ŵᵀσ. Gains
+    have been found with the nose to the north, where these axes are ENU.
+    """
+    return x.reference_yaw + m.hand_over_yaw - 0.5 * math.pi  # type: ignore[no-any-return]
+
+
+@compiled
+def position_network(p: Record, m: Record, x: Record, t: Record) -> Vector:
+    """σ_p (L,) of γ_p = [1, ṗ, η, U̇_p], Eq. (11), ṗ and U̇_p along the network's own axes."""
+    back = -network_heading(m, x)
+    angles = attitude_feature(t.euler, x.reference_yaw + m.hand_over_yaw)
+    return hidden_layer(p.position_V, about_up(x.velocity, back), angles, about_up(t.position.U_rate, back))
+
+
+@compiled
 def position_errors(p: Record, m: Record, x: Record, t: Record) -> Vector:
     """Errors and virtual control of the position loop, Eqs. (2)–(7); σ_p (L,) of γ_p = [1, ṗ, η, U̇_p], Eq. (11)."""
     loop = t.position
@@ -124,7 +151,7 @@ def position_errors(p: Record, m: Record, x: Record, t: Record) -> Vector:
     loop.lyapunov = lyapunov(
         loop.error, loop.U_error, momentum, loop.integral, g.K_i, loop.weight_norm, g.N, p.beta[0]
     )
-    return hidden_layer(p.position_V, x.velocity, t.euler, loop.U_rate)
+    return position_network(p, m, x, t)
 
 
 @compiled
@@ -169,10 +196,6 @@ def _point_thrust(p: Record, m: Record, x: Record, m_next: Record, t: Record, si
     yaw = x.reference_yaw + m.hand_over_yaw
     t.bounds |= bound_force(t.force, p.force_z_min, p.tilt_max)
     t.thrust_wanted = t.force[2] / (math.cos(t.euler[0]) * math.cos(t.euler[1]))
-    if t.thrust_wanted > p.thrust_max:
-        t.bounds |= THRUST_MAX
-    if t.thrust_wanted < p.thrust_min:
-        t.bounds |= THRUST_MIN
     t.euler_desired[:] = euler_from_force(t.force, yaw)
 
     rows = flat_attitude(
@@ -237,7 +260,8 @@ def attitude_errors(p: Record, m: Record, x: Record, m_next: Record, t: Record, 
     loop.lyapunov = lyapunov(
         loop.error, loop.U_error, momentum, loop.integral, g.K_i, loop.weight_norm, g.N, p.beta[1]
     )
-    return hidden_layer(p.attitude_V, t.euler, t.euler_rate, loop.U_rate)
+    angles = attitude_feature(t.euler, t.euler_desired[2])
+    return hidden_layer(p.attitude_V, angles, t.euler_rate, loop.U_rate)
 
 
 @compiled
@@ -260,17 +284,21 @@ def _learn(
     g: Record,
     x: Record,
     U_error: Vector,
+    network_error: Vector,
     sigma: Vector,
     xi: Vector,
     W: Vector,
     xi_next: Vector,
     W_next: Vector,
 ) -> tuple[bool, bool]:
-    """One loop's memory after the step; whether the projections of integral and weights acted."""
+    """One loop's memory after the step; whether the projections of integral and weights acted.
+
+    `network_error` (3,) is Ũ along the network's axes.
+    """
     integral_held = _integrate(g, xi, U_error, x.dt, xi_next, 1) > 0
     weights_held = False
     if x.gate == RUN:
-        weights_held = adapt(W, sigma, U_error, g.N, g.kappa, g.weight_bound, x.dt, W_next)
+        weights_held = adapt(W, sigma, network_error, g.N, g.kappa, g.weight_bound, x.dt, W_next)
     return integral_held, weights_held
 
 
@@ -282,7 +310,7 @@ def _actuate(p: Record, m: Record, x: Record, m_next: Record, t: Record) -> None
     """
     t.torque_wanted[:] = transposed_times(rate_matrix(t.euler), t.attitude.total)
     wrench = np.empty(4)
-    wrench[0] = min(p.thrust_max, max(p.thrust_min, t.thrust_wanted))
+    wrench[0] = min(x.thrust_max, max(x.thrust_min, t.thrust_wanted))
     wrench[1:] = t.torque_wanted
     weight, ratio = 1.0, 1.0
     if m.started > 0.0 and p.rotor_lead > p.rotor_lead_filter:
@@ -291,7 +319,12 @@ def _actuate(p: Record, m: Record, x: Record, m_next: Record, t: Record) -> None
     for i in range(4):
         m_next.wrench[i] = m.wrench[i] + weight * (wrench[i] - m.wrench[i])
         wrench[i] = m_next.wrench[i] + ratio * (wrench[i] - m_next.wrench[i])
-    t.thrust = min(p.thrust_max, max(p.thrust_min, wrench[0]))
+    t.thrust = min(x.thrust_max, max(x.thrust_min, wrench[0]))
+    # what the bounds took, off the thrust wanted or off its lead, is known here and nowhere later
+    if t.thrust_wanted > x.thrust_max or wrench[0] > x.thrust_max:
+        t.bounds |= THRUST_MAX
+    if t.thrust_wanted < x.thrust_min or wrench[0] < x.thrust_min:
+        t.bounds |= THRUST_MIN
     got = np.empty(4)
     low, high = p.rotor_thrust_min, p.rotor_thrust_max
     cut = allocate(p.mixer, p.rotor_count, low, high, t.thrust, wrench[1:], t.rotor_thrust, got)
@@ -332,6 +365,7 @@ def finish(
                 p.position,
                 x,
                 t.position.U_error,
+                about_up(t.position.U_error, -network_heading(m, x)),
                 sigma_p,
                 m.position_integral,
                 m.position_weights,
@@ -343,6 +377,7 @@ def finish(
             held = _learn(
                 p.attitude,
                 x,
+                t.attitude.U_error,
                 t.attitude.U_error,
                 sigma_eta,
                 m.attitude_integral,

@@ -9,19 +9,19 @@ What the vehicle weighs beyond m̂, drag, wind and the whole rotational dynamics
 
 from __future__ import annotations
 
-from companion.control.cascade import attitude_errors, begin, finish, position_errors
+from companion.control.cascade import attitude_errors, begin, finish, network_heading, position_errors
 from companion.control.compiled import compiled
-from companion.control.network import output_layer, smooth_sign
+from companion.control.network import about_up, output_layer, smooth_sign
 from companion.control.structs import Packed, Record, Vector
 
 
 @compiled
-def feedback(g: Record, W: Vector, sigma: Vector, loop: Record) -> None:
+def feedback(g: Record, network: Vector, loop: Record) -> None:
     """K_U Ũ + K_i ξ + Ŵᵀσ + α sign(Ũ) of either loop, each term in its place, added to `loop.total`."""
     for i in range(3):
         loop.proportional_term[i] = g.K_U[i] * loop.U_error[i]
         loop.integral_term[i] = g.K_i[i] * loop.integral[i]
-        loop.network_term[i] = output_layer(W, sigma, i)
+        loop.network_term[i] = network[i]
         loop.sign_term[i] = g.alpha * smooth_sign(loop.U_error[i], g.boundary_width)
         loop.total[i] = (
             loop.proportional_term[i]
@@ -42,8 +42,9 @@ def step(parameters: Packed, memory: Packed, inputs: Packed, memory_out: Packed,
     for i in range(3):
         t.position.model_term[i] = p.mass_estimate * x.reference_acceleration[i]
     t.position.model_term[2] += p.mass_estimate * p.gravity
-    feedback(p.position, m.position_weights, sigma_p, t.position)
+    network = about_up(output_layer(m.position_weights, sigma_p), network_heading(m, x))
+    feedback(p.position, network, t.position)
 
     sigma_eta = attitude_errors(p, m, x, m_next, t, sigma_p)
-    feedback(p.attitude, m.attitude_weights, sigma_eta, t.attitude)
+    feedback(p.attitude, output_layer(m.attitude_weights, sigma_eta), t.attitude)
     finish(p, m, x, m_next, t, sigma_p, sigma_eta)

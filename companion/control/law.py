@@ -20,8 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.control.bounds import NOT_FINITE, TOO_TILTED
+from companion.control.cascade import position_network
 from companion.control.flatness import force_from_euler
-from companion.control.network import hidden_layer
 from companion.control.packing import INPUT, TERMS, Memory, Terms, memory_dtype
 from companion.control.rotation import euler_from_quaternion, wrap_angle
 from companion.control.structs import (
@@ -65,8 +65,18 @@ class StepRefused(ArithmeticError):
     """No law may answer this state with a setpoint; the message says why. Hand the vehicle back."""
 
 
-def pack_input(state: VehicleState, reference: Reference, dt_s: float, gate: AdaptationGate) -> Vector:
-    """All that a step depends on beside the memory, as float64 (n,) in the layout `packing.INPUT`."""
+def pack_input(
+    state: VehicleState,
+    reference: Reference,
+    dt_s: float,
+    gate: AdaptationGate,
+    thrust_bounds_newton: tuple[float, float],
+) -> Vector:
+    """All that a step depends on beside the memory, as float64 (n,) in the layout `packing.INPUT`.
+
+    `thrust_bounds_newton` are the least and the greatest F that can be sent: `ThrustScale.bounds_newton`, or
+    `ControlLaw.thrust_bounds_newton`.
+    """
     return np.concatenate(
         (
             state.position_enu,
@@ -84,6 +94,8 @@ def pack_input(state: VehicleState, reference: Reference, dt_s: float, gate: Ada
                 reference.yaw_acceleration_rad_s2,
                 dt_s,
                 float(gate),
+                *thrust_bounds_newton,
+                state.time_s,
             ),
         ),
         dtype=np.float64,
@@ -107,6 +119,11 @@ class ControlLaw:
         """The fields of `parameters_dtype` by name."""
         return self.packed_parameters[0]
 
+    @property
+    def thrust_bounds_newton(self) -> tuple[float, float]:
+        """Bounds on F by the profile, N: in force where rotor thrusts are sent, or no thrust scale is known."""
+        return float(self.parameters.thrust_min), float(self.parameters.thrust_max)
+
     def initial_memory(self) -> Memory:
         """Zero integrals and weights; filters start at the first step's values."""
         return Memory(np.zeros(1, memory_dtype(self.hidden)))
@@ -123,12 +140,12 @@ class ControlLaw:
     def step(
         self, memory: Memory, state: VehicleState, reference: Reference, dt_s: float, gate: AdaptationGate
     ) -> StepResult:
-        """One control step over the `dt_s` seconds since the last. Pure; does not change `memory`.
+        """One control step over the `dt_s` seconds since the last, within the profile's thrust. Pure; keeps `memory`.
 
         Raises StepRefused when state, reference or dt_s are not finite, dt_s is negative, the quaternion is not of
         unit length, or the vehicle is tilted beyond `limits.tilt_abort_deg`.
         """
-        return self.step_packed(memory, pack_input(state, reference, dt_s, gate))
+        return self.step_packed(memory, pack_input(state, reference, dt_s, gate, self.thrust_bounds_newton))
 
     def step_packed(self, memory: Memory, inputs: Vector) -> StepResult:
         """`step` on inputs as `pack_input` made them and the log holds them: replay gives the same bits."""
@@ -170,16 +187,19 @@ class ControlLaw:
         led = np.zeros(3)
         if self.level is ControlLevel.ATTITUDE:
             led = p.attitude_lead * terms.flat_euler_rate + p.attitude_lead_2 * terms.flat_euler_acceleration
-        feedback_lead = terms.feedback_lead_force if self.level is ControlLevel.ATTITUDE else np.zeros(3)
         fresh["hand_over_yaw"] = wrap_angle(given[2] - led[2] - reference.yaw_rad)
+        # once more: the network sees the yaw against the one that is now desired
+        terms = self.step(Memory(packed), state, reference, 0.0, AdaptationGate.FREEZE).terms.values
+        feedback_lead = terms.feedback_lead_force if self.level is ControlLevel.ATTITUDE else np.zeros(3)
         force_z = thrust_newton * math.cos(terms.euler[0]) * math.cos(terms.euler[1])
         wanted = force_from_euler(given - led, max(force_z, float(p.force_z_min)))
         missing = wanted - feedback_lead - terms.position.total
-        missing[2] -= self._keep_vertical(fresh, missing[2], state, terms)
+        inputs = pack_input(state, reference, 0.0, AdaptationGate.FREEZE, self.thrust_bounds_newton)
+        missing[2] -= self._keep_vertical(fresh, missing[2], inputs.view(INPUT)[0], terms)
         fresh["hand_over_force"] = missing
         return Memory(packed)
 
-    def _keep_vertical(self, fresh: Record, newton: float, state: VehicleState, terms: Record) -> float:
+    def _keep_vertical(self, fresh: Record, newton: float, inputs: Record, terms: Record) -> float:
         """Put a vertical force into what `fresh` remembers; how much of it found room within the bounds, N."""
         g = self.parameters.position
         xi, W = fresh["position_integral"], fresh["position_weights"]
@@ -192,9 +212,7 @@ class ControlLaw:
             xi[2] += kept / float(g.K_i[2])
             return kept
         if g.N > 0.0:
-            sigma = hidden_layer(
-                self.parameters.position_V, state.velocity_enu, terms.euler, terms.position.U_rate
-            )
+            sigma = position_network(self.parameters, fresh, inputs, terms)
             change = (
                 sigma * newton / float(sigma @ sigma)
             )  # the smallest change of Ŵ that gives this force now

@@ -2,6 +2,7 @@
 
     f_W ≈ Wᵀ tanh(Vᵀ γ) ,   γ ∈ R¹⁰ = [1, a, b, c]
 
+a, b, c are ṗ, η, U̇_p or η, η̇, U̇_η, with η as `attitude_feature` gives it.
 V (10, L) is drawn once from a seed and stays; only Ŵ (L, 3) adapts, so the output is linear in what is learnt.
 """
 
@@ -37,12 +38,31 @@ def hidden_layer(V: Vector, a: Vector, b: Vector, c: Vector) -> Vector:
 
 
 @compiled
-def output_layer(W: Vector, sigma: Vector, i: int) -> float:
-    """Component `i` of Ŵᵀσ, N or N·m."""
-    total = 0.0
+def attitude_feature(euler: Vector, yaw_desired: float) -> Vector:
+    """What stands for η in γ_p and γ_η: (3,) [φ, θ, sin(ψ − ψ_d)].
+
+    The report has ψ itself, whose jump at ±π would be a jump of the force. Near the desired yaw the sine is the yaw
+    error, so a network learns the same thing whichever way the nose points; and it has no jump anywhere, where a wrapped
+    difference keeps one behind us.
+    """
+    return np.array((euler[0], euler[1], math.sin(euler[2] - yaw_desired)))
+
+
+@compiled
+def about_up(vector: Vector, angle: float) -> Vector:
+    """`vector` (3,) turned by `angle` rad about world z."""
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array((c * vector[0] - s * vector[1], s * vector[0] + c * vector[1], vector[2]))
+
+
+@compiled
+def output_layer(W: Vector, sigma: Vector) -> Vector:
+    """Ŵᵀσ (3,), N or N·m."""
+    out = np.zeros(3)
     for j in range(sigma.size):
-        total += W[j, i] * sigma[j]
-    return total
+        for i in range(3):
+            out[i] += W[j, i] * sigma[j]
+    return out
 
 
 @compiled

@@ -70,7 +70,10 @@ def parameters_dtype(hidden: int) -> np.dtype[np.void]:
                 ("mixer", "f8", (MAX_ROTORS, 4)),  # its pseudo-inverse
                 ("rotor_thrust_min", "f8"),  # N, each rotor
                 ("rotor_thrust_max", "f8"),  # N, each rotor
-                ("thrust_min", "f8"),  # bounds on F, N
+                (
+                    "thrust_min",
+                    "f8",
+                ),  # bounds on F by the profile, N; in flight those of `INPUT` are in force
                 ("thrust_max", "f8"),
                 ("force_z_min", "f8"),  # floor under f_z, N; keeps (17), (18) defined
                 ("tilt_max", "f8"),  # bound on the desired tilt, rad
@@ -170,6 +173,12 @@ INPUT = np.dtype(
             ("reference_yaw_acceleration", "f8"),
             ("dt", "f8"),
             ("gate", "f8"),  # an `AdaptationGate`, as a number
+            ("thrust_min", "f8"),  # bounds on F by the thrust scale in force, N
+            ("thrust_max", "f8"),
+            (
+                "time",
+                "f8",
+            ),  # autopilot's clock: when state and reference hold, and η_d is wanted; for the log, s
         ],
     )
 )

@@ -5,6 +5,8 @@ dead time of the autopilot's loop. What happens in between is already decided: b
 under way. The law is given the state, and the reference, of that later moment; of the autopilot's
 response only the lag is left, which the law makes up for by lead.
 
+Thrust has a dead time of its own: it passes by the loops that turn the vehicle, and acts before the attitude sent with it.
+
 The model is small: thrust behind the rotors' lag, gravity, and the attitude behind the setpoint as the
 profile's response says. A step is pure and compiled; `Predictor` keeps the setpoints under way.
 """
@@ -23,14 +25,17 @@ RING = 64
 """Setpoints remembered: 0.25 s of them at 250 Hz, more than any dead time with a few rotor lags."""
 LONGEST_SUBSTEP_S = 0.004
 TIME, THRUST, QUATERNION, RATE, TORQUE, ROW = 0, 1, 2, 6, 9, 12
-"""Columns of a remembered setpoint: when it acts (s), N, wxyz, rad/s, N·m."""
+"""Columns of a remembered setpoint: when all but its thrust acts (s), N, wxyz, rad/s, N·m."""
 
 
 def pack_model(profile: VehicleProfile, level: ControlLevel, autopilot: str | None) -> Vector:
-    """The vehicle's response as (15,): level, g, ω² (3), 2ζω (3), 1/rate lag (3), rotor lag, inertia (3)."""
+    """The vehicle's response as (16,): level, g, ω² (3), 2ζω (3), 1/rate lag (3), rotor lag, inertia (3), thrust's delay.
+
+    The last is by how much later than the rest of a setpoint its thrust acts, s; negative where it acts earlier.
+    """
     response = profile.response(autopilot)
     axes = (response.tilt, response.tilt, response.yaw)
-    model = np.zeros(15)
+    model = np.zeros(16)
     model[0] = {ControlLevel.ATTITUDE: 0.0, ControlLevel.BODY_RATE: 1.0, ControlLevel.ACTUATOR: 2.0}[level]
     model[1] = profile.gravity_m_s2
     model[2:5] = [axis.natural_frequency_rad_s**2 for axis in axes]
@@ -38,6 +43,7 @@ def pack_model(profile: VehicleProfile, level: ControlLevel, autopilot: str | No
     model[8:11] = [1.0 / max(lag, 1e-3) for lag in response.rate_lag_s]
     model[11] = profile.rotors.lag_rad_s
     model[12:15] = profile.inertia_kg_m2
+    model[15] = response.thrust_dead_time(level) - response.dead_time(level)
     return model
 
 
@@ -87,9 +93,9 @@ def predict(
 ) -> Vector:
     """State (13,) = [p, v, q, ω] at `end` from the one at `start`, s, under the setpoints of `ring`.
 
-    `ring` (n, 12) holds `count` rows ordered by the time at which they begin to act; `mass` in kg is the one that
-    turns thrust setpoints into the acceleration they really give. Nothing is allocated on the way: with some 25
-    substeps a call that cost more than the arithmetic.
+    `ring` (n, 12) holds `count` rows ordered by the time at which they begin to act, their thrust `model[15]` later;
+    `mass` in kg is the one that turns thrust setpoints into the acceleration they really give. Nothing is allocated
+    on the way: with some 25 substeps a call that cost more than the arithmetic.
     """
     out = state.copy()
     position, velocity, quaternion, rate = out[0:3], out[3:6], out[6:10], out[10:13]
@@ -101,20 +107,25 @@ def predict(
     thrust = ring[0, THRUST]
     torque = ring[0, TORQUE:ROW].copy()
     angular, turn = np.empty(3), np.empty(3)
-    now = min(start, ring[0, TIME])
-    row = 0
+    later = model[15]
+    now = min(start, ring[0, TIME] + min(0.0, later))
+    row = thrust_row = 0
     while now < end:
         while row + 1 < count and ring[row + 1, TIME] <= now + 1e-9:
             row += 1
+        while thrust_row + 1 < count and ring[thrust_row + 1, TIME] + later <= now + 1e-9:
+            thrust_row += 1
         until = end
         if now < start - 1e-9:
             until = start
         if row + 1 < count:
             until = min(until, ring[row + 1, TIME])
+        if thrust_row + 1 < count:
+            until = min(until, ring[thrust_row + 1, TIME] + later)
         flying = now >= start - 1e-9
         dt = min(until - now, LONGEST_SUBSTEP_S) if flying else until - now
         settle = -math.expm1(-model[11] * dt)
-        thrust += settle * (ring[row, THRUST] - thrust)
+        thrust += settle * (ring[thrust_row, THRUST] - thrust)
         for i in range(3):
             torque[i] += settle * (ring[row, TORQUE + i] - torque[i])
         if flying:

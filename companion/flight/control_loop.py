@@ -1,8 +1,8 @@
 """The control loop: one state in, one setpoint out, everything logged. Driven by the arrival of states.
 
 What it does with a state depends on its `activity`: send idle setpoints, raise the thrust until the vehicle lifts off,
-or let the control law follow the plan. The supervisor sees every state before the law does, and nothing goes out but
-through the gate.
+let the control law follow the plan, or keep the vehicle level until somebody else has it. The supervisor sees every state
+before the law does, and nothing goes out but through the gate.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from companion.control.prediction import Predictor
 from companion.control.structs import AdaptationGate, ControlLevel, Reference, Vector, VehicleState
 from companion.flight.fallback import without_networks
 from companion.flight.level_flight import level_setpoint
-from companion.flight.outcome import Aborted, ending
+from companion.flight.outcome import Aborted, TippedOver, ending
 from companion.flight.plan import FlightPlan, stopping_plan, tracking_time
 from companion.flight.realtime import LoopWatchdog
 from companion.flight.recorder import Recorder
@@ -45,6 +45,8 @@ ABSENT_AFTER = 5.0  # control periods without a state from which on the supervis
 SUNK_M = 1.0  # at lift-off; the rotors' wind takes a barometer down by less
 RESTART_S = 1.0  # a clock that steps back further was started anew
 OVERRUN_WINDOW_S = 1.0
+CLIMB_BRAKE = 0.2  # hover thrusts less for each m/s upwards, while the vehicle is kept level
+LEAST_LEVEL = 0.7  # hover thrusts, however fast it climbs
 _NO_JUMP: Vector = np.zeros(3)
 LINK_INCLUDED_S = 0.01
 """Of the way from an attitude's stamp to its setpoint's arrival: in the profile's dead times."""
@@ -65,6 +67,8 @@ class Activity(enum.Enum):
     """Level attitude, thrust rising."""
     FOLLOW = "follow"
     """The control law follows the plan."""
+    LEVEL = "level"
+    """Level attitude, no more thrust than carries the weight: until somebody else has the vehicle."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,6 +126,10 @@ class ControlLoop:
         self.lift_off_thrust = 0.0  # normalised, as last sent while lifting off
         self.position_error_enu: Vector = np.zeros(3)
         self.counters: Counter[str] = self._sender.counters
+        self.reactions: list[tuple[float, Reaction]] = []
+        """When the supervisor came to which reaction."""
+        self._leaving = False  # the flight is over, and nobody else has the vehicle yet
+        self._level_limit = 1.0  # hover thrusts
         self.held = ""  # why the plan was left for a hold; empty while it is followed
 
     @property
@@ -138,6 +146,11 @@ class ControlLoop:
     def law(self) -> ControlLaw:
         """The law that flies."""
         return self._law
+
+    @property
+    def controlled_until_s(self) -> float:
+        """Time of the newest state that was answered, autopilot's clock."""
+        return self._last_step_s
 
     @property
     def plan_time_s(self) -> float:
@@ -195,6 +208,39 @@ class ControlLoop:
         self._last_step_s = state.time_s - self.period_s
         self.activity = Activity.FOLLOW
 
+    @property
+    def cannot_have_left(self) -> bool:
+        """Whether the vehicle is on the ground, by what was sent before lift-off is believed: it may be dropped from there.
+
+        A land detector says nothing of that once thrust rises (ArduCopter's says in the air as soon as its motors turn).
+        """
+        settings, state = self._settings.procedure, self._vehicle.state
+        hovers = self.lift_off_thrust / self._sender.thrust.hover_thrust
+        if hovers == 0.0:
+            return self._vehicle.on_ground is not False
+        if hovers < settings.lift_off_least or state is None:
+            return hovers < settings.lift_off_least
+        gained_m = float(state.position_enu[2]) - self._lift_off_from_m
+        return hovers < 1.0 and gained_m < settings.lift_off_height_m
+
+    def stand_down(self) -> None:
+        """The flight is over, and the vehicle on the ground: idle setpoints until somebody else has it."""
+        self._leaving, self._sender.watchdog = True, None
+        self.activity = Activity.IDLE
+
+    def level(self) -> None:
+        """The flight is over: keep the vehicle level where it heads, whatever is known of it, until somebody else has it.
+
+        Thrust carries the weight, less where it climbs, and never more than lifted it off if it may not have left the
+        ground yet: what is believed of height and speed may be why the flight is over.
+        """
+        if self.activity is Activity.FOLLOW and self._vehicle.state is not None:
+            self._level_quaternion = level_with_heading(yaw_of(self._vehicle.state.quaternion_wxyz))
+        elif self.lift_off_thrust > 0.0:
+            self._level_limit = min(1.0, self.lift_off_thrust / self._sender.thrust.hover_thrust)
+        self._leaving, self._sender.watchdog = True, None
+        self.activity = Activity.LEVEL
+
     def stop(self) -> None:
         """Send nothing any more."""
         self.activity = Activity.NOTHING
@@ -211,12 +257,12 @@ class ControlLoop:
         age_s = max(0.0, state.time_s - self._vehicle.assembler.position_time_s)
         self._recorder.state(state, age_s)
         gap_s, self._last_state_s = state.time_s - self._last_state_s, state.time_s
-        if gap_s < -RESTART_S:
+        if gap_s < -RESTART_S and not self._leaving:
             raise Aborted("the autopilot's clock started again: it has restarted")
         jump = self._vehicle.assembler.take_jump()
         if jump is not None:
             self._jump_enu = jump if self._jump_enu is None else self._jump_enu + jump
-        if self.activity is Activity.NOTHING or state.time_s - self._last_step_s < 0.5 * self.period_s:
+        if self.activity is Activity.NOTHING or 0.0 <= state.time_s - self._last_step_s < 0.5 * self.period_s:
             return
         law_s = 0.0
         if self.activity is Activity.FOLLOW:
@@ -224,7 +270,7 @@ class ControlLoop:
         elif self.activity is Activity.LIFT_OFF:
             self._lift(state, gap_s, age_s)
         else:
-            self._send_level(state, 0.0)
+            self._send_level(state, self._level_thrust(float(state.velocity_enu[2])))
         self._last_step_s = state.time_s
         ended_ns = time.perf_counter_ns()
         period_s = (started_ns - self._last_wall_ns) * 1e-9 if self._last_wall_ns else math.nan
@@ -236,15 +282,40 @@ class ControlLoop:
         self._overrun_share += min(1.0, self.period_s / OVERRUN_WINDOW_S) * (overrun - self._overrun_share)
         self._recorder.timing(state.time_s, period_s, compute_s, law_s)
 
+    def on_lone_attitude(self, state: VehicleState) -> None:
+        """Answer an attitude without a position, where that is enough: to keep the vehicle level, or idle."""
+        if self._leaving and state.time_s - self._last_step_s >= 0.5 * self.period_s:
+            self._last_step_s = state.time_s
+            self._keep_level(state)
+
+    def _keep_level(self, state: VehicleState) -> None:
+        if self.activity in (Activity.IDLE, Activity.LEVEL):
+            self._send_level(state, self._level_thrust(0.0))
+
+    def _level_thrust(self, climb_m_s: float) -> float:
+        """Normalised: none while idle, else what carries the weight, within bounds."""
+        if self.activity is Activity.IDLE:
+            return 0.0
+        hovers = max(LEAST_LEVEL, 1.0 - CLIMB_BRAKE * max(0.0, climb_m_s))
+        return min(hovers, self._level_limit) * self._sender.thrust.hover_thrust
+
     def check_absence(self) -> None:
         """Look at the autopilot's time going on without states; called for every message, and while there is none.
+
+        On the way out the vehicle is then kept level, or idle, without any: the attitude that is wanted is known, and
+        no turning is what may be asked for blindly at the other levels.
 
         Raises:
             FlightEnd: when the supervisor ends the flight.
         """
+        now_s = self._vehicle.link.autopilot_time_s
+        if self._leaving:
+            if now_s - self._last_step_s >= ABSENT_AFTER * self.period_s:
+                self._last_step_s = now_s
+                self._keep_level(VehicleState(now_s, _NO_JUMP, _NO_JUMP, self._level_quaternion, np.zeros(3)))
+            return
         if self.activity not in (Activity.FOLLOW, Activity.LIFT_OFF):
             return
-        now_s = self._vehicle.link.autopilot_time_s
         gap_s = now_s - self._last_state_s
         if gap_s < ABSENT_AFTER * self.period_s:
             return
@@ -261,6 +332,10 @@ class ControlLoop:
         judgement = self._judge(state, reference, gap_s, age_s)
         if judgement.yaw_jump_rad:
             self._shift_yaw_rad += judgement.yaw_jump_rad
+        if jump is not None or judgement.yaw_jump_rad:
+            moved = _NO_JUMP if jump is None else jump
+            turned = judgement.yaw_jump_rad
+            self._recorder.log.event("estimator_reset", state.time_s, jump_enu=moved, yaw_jump_rad=turned)
         self._react(judgement, state.time_s)
         self._estimate_hover(state, trusted=judgement.gate is AdaptationGate.RUN)
         if judgement.yaw_jump_rad or self._plan is not plan:
@@ -269,7 +344,9 @@ class ControlLoop:
         dt_s = min(state.time_s - self._last_step_s, LONGEST_STEP * self.period_s)
         law_ns = time.perf_counter_ns()
         ahead = self._predictor.predict(state)
-        inputs = pack_input(ahead, self._sample(ahead.time_s), dt_s, judgement.gate)
+        inputs = pack_input(
+            ahead, self._sample(ahead.time_s), dt_s, judgement.gate, self._thrust_bounds_newton
+        )
         try:
             result = self._law.step_packed(self._memory, inputs)
         except StepRefused as error:
@@ -286,6 +363,13 @@ class ControlLoop:
         self._recorder.step(state.time_s, memory, inputs, result)
         self._note_bounds(result.terms.flags)
         return law_s
+
+    @property
+    def _thrust_bounds_newton(self) -> tuple[float, float]:
+        """Rotor thrusts go by the profile's numbers; a collective thrust goes by the scale in force."""
+        if self._law.level is ControlLevel.ACTUATOR:
+            return self._law.thrust_bounds_newton
+        return self._sender.thrust.bounds_newton
 
     def _estimate_hover(self, state: VehicleState, trusted: bool) -> None:
         """Let the thrust scale follow what the thrust really does: slowly, so that the law's integrals go along."""
@@ -305,7 +389,7 @@ class ControlLoop:
         limit_deg = self._settings.safety.lift_off_tilt_deg
         tilt_deg = math.degrees(tilt_of(state.quaternion_wxyz))
         if not tilt_deg <= limit_deg:
-            raise Aborted(f"tipping over at lift-off: tilt {tilt_deg:.0f}°, limit {limit_deg:g}°")
+            raise TippedOver(f"tipping over at lift-off: tilt {tilt_deg:.0f}°, limit {limit_deg:g}°")
         height_m = float(state.position_enu[2])
         if math.isnan(self._lift_off_from_m):
             self._lift_off_from_m = height_m
@@ -353,10 +437,13 @@ class ControlLoop:
             jump_enu=jump if jump is not None else _NO_JUMP,
             asked_quaternion=self._sender.asked_quaternion,
             asked_thrust_newton=self._sender.asked_thrust_newton,
+            thrust_bounds_newton=self._thrust_bounds_newton,
             terms=self._terms,
             refused_setpoints=self._sender.refused,
             setpoint_gap_s=state.time_s - self._sender.last_sent_s,
             overrun_share=self._overrun_share,
+            thrust_hovers=self._sender.asked_thrust_newton
+            / self._sender.thrust.newton(self._sender.thrust.hover_thrust),
             poses=self._vehicle.pose_figures(state.time_s),
         )
         return watching.supervisor.judge(state, sight, lifting_off)
@@ -384,6 +471,7 @@ class ControlLoop:
         if reaction is self._reaction:
             return
         before, self._reaction = self._reaction, reaction
+        self.reactions.append((time_s, reaction))
         self._recorder.log.event(
             "safety", time_s, reaction=reaction.setting, before=before.setting, reason=judgement.reason
         )
@@ -402,7 +490,8 @@ class ControlLoop:
     def _send_level(self, state: VehicleState, thrust: float) -> None:
         p = self._law.parameters
         newton = self._sender.thrust.newton(thrust)
-        setpoint = level_setpoint(self._law.level, state, self._level_quaternion, newton, p.inertia)
+        limit = self._sender.gate.body_rate_max_rad_s
+        setpoint = level_setpoint(self._law.level, state, self._level_quaternion, newton, p.inertia, limit)
         rotor_thrust = None
         if setpoint.level is ControlLevel.ACTUATOR:
             rotor_thrust = p.mixer[: p.rotor_count] @ np.array([newton, *setpoint.torque_flu])

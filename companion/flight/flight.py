@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +25,7 @@ from companion.flight.outcome import (
     Interrupted,
     Outcome,
     PilotTookOver,
+    PlanFlown,
     Refused,
     WaitedTooLong,
 )
@@ -36,9 +38,10 @@ from companion.flight.recorder import Recorder
 from companion.flight.reporter import Reporter
 from companion.flight.stage import FlightRequest, FlightResult, Interrupts, Stage
 from companion.flight.supervisor import Supervisor, law_bounds
-from companion.flight.vehicle import HANDLED, Vehicle
+from companion.flight.vehicle import HANDLED, LANDED_STATE_HOLDS_S, Vehicle
+from companion.flightlog.reactions import in_words, reaction_times
 from companion.mavlink.link import Message, mav
-from companion.reference.trajectory import Placed, place
+from companion.reference.trajectory import Frame, Placed, Trajectory, place
 from companion.reference.transit import TransitLimits
 
 _RC_CHANNELS: int = mav.MAVLINK_MSG_ID_RC_CHANNELS
@@ -47,7 +50,8 @@ _STANDING = (
     Phase.ENGAGE,
     Phase.ARM,
 )  # idle setpoints go out, which must never meet a flying vehicle
-_FLYING = (mav.MAV_LANDED_STATE_IN_AIR, mav.MAV_LANDED_STATE_TAKEOFF)
+MOST_RAISED_M = 1.0  # beyond that it is another flight than was asked for
+LOWEST_SAMPLES = 400
 REAL_TIME_TOLERANCE = 0.02  # of the time passed: a lockstep simulation runs at any other speed
 
 
@@ -78,13 +82,17 @@ class Flight:
         self._loop: ControlLoop
         self._stage = Stage(vehicle, recorder, reporter)
         self._descent = Descent(self._stage, settings)
-        self._journal = Journal(self._stage, settings.procedure.connect_timeout_s)
+        self._journal = Journal(self._stage, settings.procedure.connect_timeout_s, settings.safety)
         self._armed_by_now = False  # we count on it
         self._pilot = Pilot(settings.safety.stick_share)
+        self._transmitter_lost = False
+        self._raised_m = 0.0  # of the trajectory, for the sake of the height estimate
+        self._handed_over_s = 0.0
         self._watchdog = LoopWatchdog(settings.safety.stall_s, self._note_stall)
         self._real_time = False
         self._clocks_s = (0.0, 0.0)  # the autopilot's and ours, when it was ready
         self._answered_interrupts = 0
+        self._standing_counts = False  # whether it stands is known, and has to stay so
 
     def run(self) -> FlightResult:
         """Fly. Always ends with the vehicle in the safest state that could be reached.
@@ -100,19 +108,16 @@ class Flight:
             self._prepare()
             self._take_off()
             self._follow_plan()
-            how = self._descent.land("the plan is flown")
-            result = FlightResult(Outcome.COMPLETED, f"flown as planned, {how}")
+            result = self._descent.end(PlanFlown("the plan is flown"))
         except FlightEnd as end:
-            result = self._descent.end_safely(end)
+            result = self._descent.end(end)
         except WaitedTooLong as waited:
-            result = self._descent.end_safely(
-                Aborted(str(waited)) if self._stage.engaged else Refused(str(waited))
-            )
+            result = self._descent.end(Aborted(str(waited)) if self._stage.engaged else Refused(str(waited)))
         except UserError as error:
-            self._write_down(self._descent.end_safely(Refused(str(error))))
+            self._write_down(self._descent.end(Refused(str(error))))
             raise
         except Exception as error:  # a mistake of ours must not leave a vehicle in the air
-            self._write_down(self._descent.end_safely(Aborted(f"mistake in this program: {error!r}")))
+            self._write_down(self._descent.end(Aborted(f"mistake in this program: {error!r}")))
             raise
         return self._write_down(result)
 
@@ -120,8 +125,11 @@ class Flight:
         """The last acts of every flight: parameters as they were, and the last word in the log."""
         self._watchdog.stop()
         self._put_parameters_back(result)
-        if self._stage.loop is not None:
-            self._recorder.log.metadata("wall setpoints", self._stage.loop.counters)
+        loop = self._stage.loop
+        if loop is not None:
+            reacted = in_words(reaction_times(loop.reactions, loop.controlled_until_s))
+            result = replace(result, text=f"{result.text}; {reacted}") if reacted else result
+            self._recorder.log.metadata("wall setpoints", loop.counters)
         self._recorder.log.event(
             "ended", self._vehicle.link.autopilot_time_s, outcome=result.outcome.value, text=result.text
         )
@@ -131,8 +139,7 @@ class Flight:
 
     def _prepare(self) -> None:
         vehicle, reporter = self._vehicle, self._reporter
-        version = ".".join(map(str, vehicle.version))
-        reporter.say(f"{vehicle.adapter.name} {version}, system {vehicle.link.target_system}")
+        reporter.say(f"{vehicle.firmware}, system {vehicle.link.target_system}")
         self._stage.enter(Phase.CHECK)
         checks = self._preflight
         checks.ask_for_streams()
@@ -147,6 +154,7 @@ class Flight:
         self._report(findings)
         self._stage.enter(Phase.READY)
         vehicle.on_state = self._loop.on_state
+        vehicle.on_lone_attitude = self._loop.on_lone_attitude
         waited_s = checks.wait_until_ready()
         reporter.say(f"ready after {waited_s:.1f} s")
         self._clocks_s = (vehicle.link.autopilot_time_s, time.monotonic())
@@ -168,6 +176,7 @@ class Flight:
         self._check_plan(self._stage.plan, float(ground.position_enu[2]))
         require_inside(settings.safety, self._stage.plan, ground.position_enu)
         level = level_with_heading(ground.yaw_rad)
+        self._require_standing()
         self._stage.enter(Phase.PROVE)
         loop.idle(level)
         started_s = vehicle.link.autopilot_time_s
@@ -182,6 +191,8 @@ class Flight:
         )  # milliseconds, so on the ground: at lift-off only its climb is planned anew
         self._announce(plan)
         self._stage.enter(Phase.LIFT_OFF)
+        vehicle.taken_off = True
+        vehicle.link.look_out(False)
         assert vehicle.state is not None
         loop.idle(level_with_heading(ground.yaw_rad))
         loop.lift_off(vehicle.state.time_s, vehicle.adapter.spool_time_s, self._watch_over(ground))
@@ -220,7 +231,8 @@ class Flight:
         autopilot_s = link.autopilot_time_s - self._clocks_s[0]
         ours_s = time.monotonic() - self._clocks_s[1]
         apart_s = abs(autopilot_s - ours_s)
-        self._real_time = link.timesync.steady and apart_s < 0.05 + REAL_TIME_TOLERANCE * ours_s
+        together = link.timesync.steady and apart_s < 0.05 + REAL_TIME_TOLERANCE * ours_s
+        self._real_time = together or not vehicle.simulated
         self._recorder.log.metadata("wall clock", {"real_time": str(self._real_time)})
         supervisor = self._journal.supervisor = Supervisor(
             settings.safety,
@@ -259,7 +271,7 @@ class Flight:
 
     def _lay_out(self, ground: Reference) -> FlightPlan:
         settings, request = self._settings, self._request
-        trajectory = place(request.trajectory, request.frame, ground.position_enu, ground.yaw_rad)
+        trajectory = self._above_ground(ground)
         limits = self._transit_limits(float(ground.position_enu[2]))
         return lay_out(
             ground,
@@ -268,6 +280,37 @@ class Flight:
             settings.procedure.hold_s,
             float(ground.position_enu[2]) + settings.takeoff_height_m,
             limits,
+        )
+
+    def _above_ground(self, ground: Reference) -> Trajectory:
+        """The trajectory laid out, and raised where it comes lower than the height estimate may be wrong.
+
+        Raises:
+            Refused: it may be wrong by more than MOST_RAISED_M, or the trajectory lies in the local frame.
+        """
+        request, accuracy_m = self._request, self._vehicle.status.height_accuracy_m or 0.0
+        laid_out = place(request.trajectory, request.frame, ground.position_enu, ground.yaw_rad)
+        times = np.linspace(0.0, min(request.duration_s, laid_out.duration_s), LOWEST_SAMPLES)
+        lowest_m = min(float(laid_out.sample(float(t)).position_enu[2]) for t in times) - float(
+            ground.position_enu[2]
+        )
+        wanted_m = max(self._raised_m, accuracy_m - lowest_m)
+        if wanted_m <= 0.0:
+            return laid_out
+        why = f"the trajectory comes down to {lowest_m:.2f} m, and the height estimate may be wrong by {accuracy_m:.2f} m"
+        if request.frame is Frame.LOCAL or wanted_m > MOST_RAISED_M:
+            raise Refused(f"{why} (ESTIMATOR_STATUS): fly higher, or wait until the estimate has settled")
+        if not self._raised_m:
+            self._reporter.say(f"{why}: raised by {wanted_m:.2f} m")
+            self._recorder.log.event(
+                "warning", self._vehicle.link.autopilot_time_s, text=f"{why}: raised by {wanted_m:.2f} m"
+            )
+        self._raised_m = wanted_m
+        return place(
+            request.trajectory,
+            request.frame,
+            ground.position_enu + np.array([0.0, 0.0, wanted_m]),
+            ground.yaw_rad,
         )
 
     def _transit_limits(self, ground_m: float) -> TransitLimits:
@@ -283,7 +326,7 @@ class Flight:
         vehicle = self._vehicle
 
         def external() -> bool:
-            return vehicle.adapter.is_mode(vehicle.status.custom_mode, Intent.EXTERNAL)
+            return vehicle.is_ours
 
         if self._request.wait_for_offboard:
             self._reporter.say("waiting for the pilot to switch to offboard")
@@ -357,17 +400,15 @@ class Flight:
                 raise HandedBack("interrupted again: handed back to the autopilot at once")
             raise Interrupted("by Ctrl-C or SIGTERM")
         vehicle = self._vehicle
-        if self._stage.phase in _STANDING and vehicle.status.landed_state in _FLYING:
-            if self._stage.engaged:
-                raise HandedBack(
-                    "the vehicle was in the air when our mode began, and idle setpoints let it fall"
-                )
-            raise Refused(
-                "the vehicle is flying; a flight begins on the ground, with --wait-for-offboard too"
-            )
+        if self._stage.ending:
+            if self._stage.loop is not None:
+                self._stage.loop.check_absence()
+            return
+        if self._stage.phase in _STANDING and self._standing_counts:
+            self._judge_standing()
         if not self._stage.engaged:
             return
-        if not vehicle.adapter.is_mode(vehicle.status.custom_mode, Intent.EXTERNAL):
+        if not vehicle.is_ours:
             raise PilotTookOver(
                 f"mode is now {vehicle.adapter.mode_name(vehicle.status.custom_mode)}, which we did not ask for: "
                 "the pilot's wish, or the autopilot's own failsafe"
@@ -375,7 +416,10 @@ class Flight:
         if self._armed_by_now and not vehicle.status.armed:
             raise PilotTookOver("disarmed in flight" if self._stage.airborne else "disarmed")
         if moved := self._pilot.moved_sticks():
+            self._handed_over_s = vehicle.link.autopilot_time_s
+            self._stage.nobody_has_it = self._nobody_has_it
             raise PilotTookOver(f"sticks moved: {moved}")
+        self._watch_transmitter()
         if self._watchdog.tripped:
             stood_s = self._watchdog.longest_s
             self._watchdog.reset()
@@ -384,9 +428,65 @@ class Flight:
             )
         self._loop.check_absence()
 
+    def _watch_transmitter(self) -> None:
+        """A lost transmitter is no pilot: said, and landed or flown on with as set."""
+        now_s, safety = self._vehicle.link.autopilot_time_s, self._settings.safety
+        lost = self._pilot.lost_transmitter(now_s)
+        if bool(lost) == self._transmitter_lost:
+            return
+        self._transmitter_lost = bool(lost)
+        text = f"RC lost: {lost}" if lost else "RC is back"
+        self._recorder.log.event("rc", now_s, lost=bool(lost), text=text)
+        if lost and safety.rc_lost == "land":
+            raise Aborted(f"{text} (flight.safety.rc_lost is land)")
+        self._reporter.say(f"{text}; flying on" if lost else text)
+
+    def _nobody_has_it(self) -> str:
+        """Why nobody has the vehicle although it was handed over to the sticks; empty where somebody has."""
+        vehicle, now_s = self._vehicle, self._vehicle.link.autopilot_time_s
+        if not any(
+            vehicle.adapter.is_mode(vehicle.status.custom_mode, intent)
+            for intent in (Intent.EXTERNAL, Intent.HOLD)
+        ):
+            return ""
+        if lost := self._pilot.lost_transmitter(now_s):
+            return f"RC lost since: {lost}"
+        waited_s = now_s - max(self._handed_over_s, self._pilot.alive_s)
+        if waited_s < self._settings.safety.hand_over_s:
+            return ""
+        return f"nobody has chosen a mode or moved a stick for {waited_s:.0f} s"
+
+    def _require_standing(self) -> None:
+        """From here on, until thrust rises, only what is known to be on the ground goes on. Raises Refused."""
+        vehicle = self._vehicle
+        with suppress(WaitedTooLong):
+            vehicle.until(lambda: vehicle.on_ground is not None, LANDED_STATE_HOLDS_S)
+        self._standing_counts = True
+        self._judge_standing()
+
+    def _judge_standing(self) -> None:
+        """Idle setpoints stop the motors, and whatever flies falls: landing, holding, or not saying which it is.
+
+        Raises:
+            HandedBack: it flies in our mode.
+            Refused: it flies in another, or does not say that it stands.
+        """
+        vehicle, engaged = self._vehicle, self._stage.engaged
+        if vehicle.on_ground:
+            return
+        if vehicle.on_ground is None:
+            raise Refused(
+                "the autopilot does not say whether the vehicle is on the ground (EXTENDED_SYS_STATE), and "
+                "a flight begins there: is that stream passed on by what lies between?"
+            )
+        if engaged and vehicle.status.armed:
+            raise HandedBack("the vehicle was in the air when our mode began, and idle setpoints let it fall")
+        raise Refused("the vehicle is flying; a flight begins on the ground, with --wait-for-offboard too")
+
     def _on_message(self, message: Message) -> None:
         if message.get_msgId() == _RC_CHANNELS:
-            self._pilot.take(message)
+            vehicle = self._vehicle
+            self._pilot.take(message, vehicle.link.autopilot_time_s, vehicle.status.receiver_healthy)
         self._journal.take(message)
 
     # Afterwards ------------------------------------------------------------------------------------------

@@ -6,6 +6,8 @@ import math
 
 import numpy as np
 
+from companion.config.safety import SafetyLimits
+from companion.flight.sources import Blind, blind
 from companion.flight.stage import Stage
 from companion.flight.supervisor import Supervisor
 from companion.mavlink.link import Message, mav
@@ -18,8 +20,10 @@ _COMMAND_ACK: int = mav.MAVLINK_MSG_ID_COMMAND_ACK
 class Journal:
     """Takes every message of the autopilot; log and reporter are the stage's."""
 
-    def __init__(self, stage: Stage, connect_timeout_s: float) -> None:
+    def __init__(self, stage: Stage, connect_timeout_s: float, limits: SafetyLimits) -> None:
         self._stage = stage
+        self._limits = limits
+        self._blind: list[Blind] = []
         self._connect_timeout_s = connect_timeout_s
         self._mode = -1  # announced last
         self._armed = False
@@ -69,6 +73,8 @@ class Journal:
         if self.supervisor is not None:
             self.supervisor.log_health = log_health = stage.recorder.log.health
             assert log_health is not None
+        if self.supervisor is not None:
+            self._tell_what_is_not_known()
         streams = link.streams.figures()
         stage.recorder.streams(link.autopilot_time_s, streams)
         if loop is not None:
@@ -81,3 +87,18 @@ class Journal:
                 loop.state_delay_s,
                 stage.vehicle.status,
             )
+
+    def _tell_what_is_not_known(self) -> None:
+        """From lift-off on: what is blind now, and what is heard again, once each."""
+        stage, before = self._stage, self._blind
+        vehicle, link = stage.vehicle, stage.vehicle.link
+        now = blind(vehicle.adapter, vehicle.status, link.timesync, self._limits, link.autopilot_time_s)
+        self._blind = now
+        for item in now:
+            if item not in before:
+                stage.reporter.say(f"blind: {item}")
+                stage.recorder.log.event("blind", link.autopilot_time_s, active=True, text=str(item))
+        for item in before:
+            if item.source not in [other.source for other in now]:
+                stage.reporter.say(f"{item.source.message} tells again")
+                stage.recorder.log.event("blind", link.autopilot_time_s, active=False, text=str(item))

@@ -1,4 +1,4 @@
-"""Keeping a vehicle level before the control law flies it: idle on the ground, and lift-off.
+"""Keeping a vehicle level when the control law does not fly it: idle on the ground, at lift-off, and at the flight's end.
 
 A proportional-derivative law on the attitude alone, at the level that is flown. The level is not changed over at
 lift-off, since PX4 looks only twice a second at which kind of setpoint comes: for that long it would go on with
@@ -21,7 +21,12 @@ TORQUE_BANDWIDTH_RAD_S = 10.0
 
 
 def level_setpoint(
-    level: ControlLevel, state: VehicleState, wanted_wxyz: Vector, thrust_newton: float, inertia_kg_m2: Vector
+    level: ControlLevel,
+    state: VehicleState,
+    wanted_wxyz: Vector,
+    thrust_newton: float,
+    inertia_kg_m2: Vector,
+    body_rate_max_rad_s: Vector,
 ) -> Setpoint:
     """What brings the vehicle to the attitude `wanted_wxyz` (4,) and keeps it there, at `level`.
 
@@ -31,11 +36,13 @@ def level_setpoint(
         wanted_wxyz: (4,) attitude, body FLU to world ENU.
         thrust_newton: total thrust; without any, no torque is asked for either.
         inertia_kg_m2: (3,) diagonal.
+        body_rate_max_rad_s: (3,) beyond which no rate is asked for.
     """
     conjugate = state.quaternion_wxyz * np.array([1.0, -1.0, -1.0, -1.0])
     gap = quaternion_product(conjugate, wanted_wxyz)
     error = 2.0 * gap[1:] * (1.0 if gap[0] >= 0.0 else -1.0)
-    rate = error * np.array([TILT_RATE_GAIN, TILT_RATE_GAIN, YAW_RATE_GAIN])
+    wished = error * np.array([TILT_RATE_GAIN, TILT_RATE_GAIN, YAW_RATE_GAIN])
+    rate = np.clip(wished, -body_rate_max_rad_s, body_rate_max_rad_s)
     torque = np.zeros(3)
     if thrust_newton > 0.0:
         torque = TORQUE_BANDWIDTH_RAD_S * inertia_kg_m2 * (rate - state.body_rate_flu)

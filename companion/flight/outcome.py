@@ -21,20 +21,28 @@ class Outcome(enum.Enum):
     ABORTED = "aborted"
     """The supervisor ended the flight: landed by the autopilot."""
     HANDED_BACK = "handed back"
-    """A second Ctrl-C, a limit, or an autopilot that does not land: it has the vehicle, we are gone."""
+    """A second Ctrl-C, a limit, or an autopilot that does not come down: it has the vehicle, we are gone."""
+    LEFT_FLYING = "left flying"
+    """The autopilot took no mode that we asked for: what it does now is its own offboard-loss action."""
     LINK_LOST = "link lost"
     """The autopilot fell silent; what it does now is its own offboard-loss action."""
 
     @property
     def exit_code(self) -> int:
-        """0 completed; 1 the link was lost; 2 refused; 3 ended early, in safe hands."""
-        return {"completed": 0, "link lost": 1, "refused": 2}.get(self.value, 3)
+        """0 completed; 1 link lost or left flying; 2 refused; 3 ended early, in safe hands."""
+        return {"completed": 0, "link lost": 1, "left flying": 1, "refused": 2}.get(self.value, 3)
 
 
 class FlightEnd(Exception):
     """Base of what ends a flight before its plan does. `str()` is a sentence for the pilot."""
 
     outcome = Outcome.ABORTED
+
+
+class PlanFlown(FlightEnd):
+    """The end that was planned."""
+
+    outcome = Outcome.COMPLETED
 
 
 class Refused(FlightEnd):
@@ -61,6 +69,10 @@ class Aborted(FlightEnd):
     outcome = Outcome.ABORTED
 
 
+class TippedOver(Aborted):
+    """It leans before it flies: thrust ends at once, on the ground as it is."""
+
+
 class HandedBack(FlightEnd):
     """A second Ctrl-C, or a limit whose reaction is to hand back."""
 
@@ -68,9 +80,15 @@ class HandedBack(FlightEnd):
 
 
 class LeftFlying(FlightEnd):
-    """The autopilot did not bring the vehicle down in time, or would not; nothing more is asked of it."""
+    """The autopilot lands, and did not come down in time; nothing more is asked of it."""
 
     outcome = Outcome.HANDED_BACK
+
+
+class NobodyHasIt(FlightEnd):
+    """The autopilot is in our mode still, although another was asked for again and again."""
+
+    outcome = Outcome.LEFT_FLYING
 
 
 class MotorsStopped(FlightEnd):

@@ -37,7 +37,7 @@ class Phase(enum.Enum):
     RETURN = "return"
     """Back to above the place of take-off."""
     LAND = "land"
-    """The autopilot lands in its own mode; no setpoints go out."""
+    """The autopilot is asked to land, and kept level until its own mode shows; then no setpoints go out."""
     WATCH = "watch"
     """Somebody else flies; only the log goes on."""
     DONE = "done"

@@ -10,12 +10,13 @@ from collections import Counter
 from dataclasses import dataclass
 
 from companion.autopilot.adapter import Finding, Verdict
-from companion.config.procedure import Procedure
 from companion.config.profile import VehicleProfile
+from companion.config.settings import FlightSettings
 from companion.control.structs import ControlLevel
 from companion.flight.outcome import Refused, WaitedTooLong
 from companion.flight.pose_findings import pose_findings
 from companion.flight.reporter import Reporter
+from companion.flight.sources import Blind, blind, blind_findings
 from companion.flight.supervisor import tilt_of
 from companion.flight.vehicle import Vehicle
 from companion.mavlink.bandwidth import POSITION_RATE_HZ, spare_rate
@@ -25,6 +26,8 @@ from companion.mavlink.protocol import message_interval, request_message
 from companion.mavlink.stream_timing import STATE_STREAMS, StreamFigures, in_words
 
 MEASURE_S = 1.0
+HEARD_WITHIN_S = 5.0
+"""What was not heard after so long is not waited for; none is asked for at less than 5 Hz."""
 _SHARE_WARNED = 0.8  # of a stream's rate asked for
 _ROUND_TRIP_WARNED_S, _ROUND_TRIP_REFUSED_S = 0.05, 0.15
 _AGE_WARNED_S = 0.05  # of a stream's 95 %
@@ -63,8 +66,7 @@ class Preflight:
         self,
         vehicle: Vehicle,
         level: ControlLevel,
-        rate_hz: float,
-        procedure: Procedure,
+        settings: FlightSettings,
         profile: VehicleProfile,
         reporter: Reporter,
         spare_share: float = 1.0,
@@ -73,8 +75,8 @@ class Preflight:
         self._spare_share = spare_share
         self._vehicle = vehicle
         self._level = level
-        self._rate_hz = rate_hz
-        self._procedure = procedure
+        self._rate_hz = settings.rate_hz
+        self._settings = settings
         self._profile = profile
         self._reporter = reporter
         self._attitude: Message | None = None  # the newest ATTITUDE, where the autopilot sends it
@@ -156,13 +158,17 @@ class Preflight:
         Raises:
             Refused: it does not get ready; says what is missing, in the autopilot's words too.
         """
-        vehicle, timeout_s = self._vehicle, self._procedure.ready_timeout_s
+        vehicle, timeout_s = self._vehicle, self._settings.procedure.ready_timeout_s
         started_s = vehicle.link.autopilot_time_s
         told: list[str] = []
 
         def ready() -> bool:
             nonlocal told
             reasons = self.not_ready()
+            if vehicle.link.autopilot_time_s - started_s < HEARD_WITHIN_S:
+                reasons += [
+                    f"{item.source.message} not heard yet" for item in self._blind() if self._stops(item)
+                ]
             if reasons and reasons != told:
                 self._reporter.say("waiting: " + ", ".join(reasons))
             told = reasons
@@ -182,6 +188,14 @@ class Preflight:
         if self._vehicle.state is None:
             reasons.append("no local position yet")
         return reasons
+
+    def _blind(self) -> list[Blind]:
+        vehicle = self._vehicle
+        link, safety = vehicle.link, self._settings.safety
+        return blind(vehicle.adapter, vehicle.status, link.timesync, safety, link.autopilot_time_s)
+
+    def _stops(self, item: Blind) -> bool:
+        return not item.heard and item.source.verdict(self._settings.safety) is Verdict.REFUSAL
 
     def measure(self) -> Measured:
         """Watch the link for a second of the autopilot's time. No setpoint goes out meanwhile."""
@@ -292,7 +306,7 @@ class Preflight:
     def vehicle_findings(self) -> list[Finding]:
         """Judge what the autopilot says of itself now: battery, estimator, pre-arm checks."""
         vehicle, status = self._vehicle, self._vehicle.status
-        findings = self._own_messages()
+        findings = [*blind_findings(self._blind(), self._settings.safety), *self._own_messages()]
         if status.battery_remaining is not None:
             findings.append(
                 _graded(

@@ -18,22 +18,22 @@ from companion.autopilot.adapter import VehicleStatus
 from companion.config.safety import SafetyLimits
 from companion.control.packing import TERMS, Terms
 from companion.control.structs import Reference, Vector, VehicleState
+from companion.flight.ground_contact import SETTLED_S, GroundContact
 from companion.flight.one_world import PoseFigures
 from companion.flight.supervisor import Judgement, LawBounds, Sight, Supervisor
 from companion.flightlog.health import LogHealth
-from companion.mavlink.link import Link
+from companion.mavlink.link import Link, mav
 
 PERIOD_S = 0.01
 HEALTHY_FLAGS = 895  # ESTIMATOR_STATUS of PX4 in flight
 BOUNDS = LawBounds(
-    thrust_min_newton=2.0,
-    thrust_max_newton=42.0,
     position_weight_bound=8.0,
     attitude_weight_bound=0.6,
     mass_kg=1.0,
     beta=1.0,
 )
-HEIGHT_M = 1.0
+THRUST_BOUNDS_NEWTON = (2.0, 42.0)
+HEIGHT_M = 2.5  # above what `ground_support` looks at
 FRAMES_A_STATE = 10
 
 
@@ -66,6 +66,7 @@ class Scene:
             limits, BOUNDS, np.zeros(3), self.status, cast(Link, self.link), real_time
         )
         self.supervisor.log_health = LogHealth(0, 0, 0, 0, 0, 10**12, "")
+        self.supervisor.ground_contact = GroundContact(start_s - SETTLED_S)
         self.fence = limits.fence
         self.position: Vector = np.array([0.0, 0.0, HEIGHT_M])
         self.velocity: Vector = np.zeros(3)
@@ -75,6 +76,7 @@ class Scene:
         self.tilt = self.asked_tilt = 0.0
         self.rate: Vector = np.zeros(3)
         self.thrust_newton = 20.0
+        self.thrust_hovers = 1.0
         self.attitude_age_s, self.position_age_s = PERIOD_S, 0.0
         self.jump: Vector = np.zeros(3)
         self.stuck_at_s: float | None = None
@@ -120,10 +122,12 @@ class Scene:
             jump_enu=self.jump,
             asked_quaternion=_attitude(self.asked_tilt, self.yaw),
             asked_thrust_newton=self.thrust_newton,
+            thrust_bounds_newton=THRUST_BOUNDS_NEWTON,
             terms=self._terms(),
             refused_setpoints=self.refused,
             setpoint_gap_s=self.setpoint_gap_s,
             overrun_share=self.overrun_share,
+            thrust_hovers=self.thrust_hovers,
             poses=self.poses,
         )
         self.jump = np.zeros(3)
@@ -163,6 +167,18 @@ def _status(name: str) -> Provocation:
     return provoke
 
 
+def _silence(message_id: int) -> Provocation:
+    def provoke(scene: Scene, value: float) -> None:
+        scene.status.heard_s[message_id] = scene.time_s - value
+
+    return provoke
+
+
+def _support(scene: Scene, value: float) -> None:
+    scene.thrust_hovers = 1.0 - value
+    _height(scene, 1.0)
+
+
 def _lose_estimator(scene: Scene, value: float) -> None:
     scene.status.estimator_flags = HEALTHY_FLAGS & ~(8 | 16) if value > 0.0 else HEALTHY_FLAGS
 
@@ -200,9 +216,8 @@ def _tilt(scene: Scene, value: float) -> None:
 
 
 def _margin(scene: Scene, value: float) -> None:
-    scene.thrust_newton = BOUNDS.thrust_max_newton - value * (
-        BOUNDS.thrust_max_newton - BOUNDS.thrust_min_newton
-    )
+    low, high = THRUST_BOUNDS_NEWTON
+    scene.thrust_newton = high - value * (high - low)
 
 
 def _east(scene: Scene, value: float) -> None:
@@ -236,6 +251,9 @@ PROVOCATIONS: dict[str, Provocation] = {
     "attitude_age_s": _set("attitude_age_s"),
     "position_age_s": _set("position_age_s"),
     "position_stuck_s": _stick,
+    "mode_age_s": _silence(mav.MAVLINK_MSG_ID_HEARTBEAT),
+    "estimator_age_s": lambda scene, value: setattr(scene.status, "estimator_told_s", scene.time_s - value),
+    "sys_status_age_s": _silence(mav.MAVLINK_MSG_ID_SYS_STATUS),
     "estimator_lost": _lose_estimator,
     "innovation_ratio": _status("innovation_ratio"),
     "sensors_unhealthy": _status("sensors_unhealthy"),
@@ -255,6 +273,7 @@ PROVOCATIONS: dict[str, Provocation] = {
     "fence_margin_m": _east,
     "ceiling_margin_m": lambda scene, value: _height(scene, scene.fence.height_max_m - value),
     "floor_margin_m": lambda scene, value: _height(scene, scene.fence.height_min_m + value),
+    "ground_support": _support,
     "battery_remaining": _status("battery_remaining"),
     "battery_voltage_v": _status("battery_voltage_v"),
     "round_trip_s": _round_trip,

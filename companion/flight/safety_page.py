@@ -16,6 +16,7 @@ from pathlib import Path
 
 from companion.config.safety import QUANTITIES, RUNGS, Reaction, SafetyLimits
 from companion.flight.ladder import mermaid
+from companion.flight.sources import sources_table
 
 PAGE = Path(__file__).parents[2] / "docs" / "safety.md"
 
@@ -62,6 +63,7 @@ def blocks() -> dict[str, str]:
         "state machine": f"```mermaid\n{mermaid()}```\n",
         "reactions": reactions_table(),
         "limits": limits_table(),
+        "sources": sources_table(),
     }
 
 

@@ -171,8 +171,7 @@ def check(
         vehicle.outside_poses = poses
         vehicle.on_notice = reporter.say
         vehicle.connect(settings.flight.procedure.connect_timeout_s)
-        version = ".".join(map(str, vehicle.version))
-        reporter.say(f"{vehicle.adapter.name} {version}, system {link.target_system}")
+        reporter.say(f"{vehicle.firmware}, system {link.target_system}")
         preflight = _preflight(settings, vehicle, reporter, plan)
         preflight.ask_for_streams()
         findings = preflight.parameter_findings()
@@ -193,7 +192,12 @@ def _preflight(settings: Settings, vehicle: Vehicle, reporter: Reporter, plan: L
     flight = settings.flight
     share = plan.spare_share if plan is not None else 1.0
     return Preflight(
-        vehicle, settings.level, flight.rate_hz, flight.procedure, settings.profile, reporter, share
+        vehicle,
+        settings.level,
+        flight,
+        settings.profile,
+        reporter,
+        share,
     )
 
 
@@ -229,16 +233,17 @@ def _control_loop(
         hover_thrust=hover,
         mass_kg=profile.mass_kg,
         rotor_max_newton=profile.rotors.thrust_max_newton,
+        least=profile.limits.thrust_min_ratio,
+        most=profile.limits.thrust_max_ratio,
         mixer=mixer_of(np.column_stack((arms, np.zeros(len(arms)))), profile.rotors.spins),
     )
     recorder.define_law(law.hidden)
-    firmware = f"{adapter.name} {'.'.join(map(str, vehicle.version))}"
     recorder.log.metadata(
         "flight",
         {
             "controller": law.name,
             "level": law.level.value,
-            "firmware": firmware,
+            "firmware": vehicle.firmware,
             "profile": profile.name,
             "mass_ratio": profile.mass_ratio,
             "seed": law.seed,
@@ -249,7 +254,9 @@ def _control_loop(
     predictor = Predictor(profile, settings.level, adapter.profile_key)
     gate = SetpointGate(np.radians(profile.limits.body_rate_max_deg_s))
     response = profile.response(adapter.profile_key)
-    estimator = HoverThrustEstimator(hover, response.dead_time(settings.level), profile.rotors.lag_rad_s)
+    estimator = HoverThrustEstimator(
+        hover, response.thrust_dead_time(settings.level), profile.rotors.lag_rad_s
+    )
     return ControlLoop(vehicle, law, predictor, thrust, estimator, settings.flight, recorder, gate)
 
 

@@ -34,7 +34,7 @@ class SetpointSender:
         recorder: Recorder,
     ) -> None:
         self._vehicle = vehicle
-        self._gate = gate
+        self.gate = gate
         self._hover = hover
         self._predictor = predictor
         self._recorder = recorder
@@ -71,7 +71,7 @@ class SetpointSender:
         return True
 
     def _fit(self, time_s: float, setpoint: Setpoint, thrust: float, controls: Vector | None) -> bool:
-        refusal = self._gate.refusal(setpoint, thrust, controls)
+        refusal = self.gate.refusal(setpoint, thrust, controls)
         if not refusal:
             self.refused = 0
             return True

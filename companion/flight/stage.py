@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from companion.control.structs import ControlLevel
@@ -65,7 +66,10 @@ class Stage:
     loop: ControlLoop | None = None  # none before the autopilot is known
     plan: FlightPlan | None = None  # none before the vehicle stands ready
     engaged: bool = False  # our mode was confirmed and we count on it
+    ending: bool = False  # what counts from here on is who has the vehicle next
     airborne: bool = False
+    nobody_has_it: Callable[[], str] = lambda: ""
+    """After a hand-over to the sticks: why nobody is believed to have the vehicle; empty while somebody is."""
     ground_m: float = 0.0  # height of the place of take-off in the local frame
 
     def enter(self, phase: Phase) -> None:

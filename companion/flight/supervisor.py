@@ -20,8 +20,10 @@ from companion.control.law import ControlLaw
 from companion.control.packing import LOOP_TERMS, TERMS, Terms
 from companion.control.structs import AdaptationGate, Reference, Vector, VehicleState
 from companion.flight.fence import horizontal_margin
+from companion.flight.ground_contact import GroundContact
 from companion.flight.ladder import START, Change, LadderState, hardest_by_quantity, rung_table, step
 from companion.flight.one_world import SELF_MOVED_M, PoseFigures, TwoPaths
+from companion.flight.sources import SILENT_S
 from companion.flightlog.health import LogHealth
 from companion.mavlink.link import Link, mav
 from companion.mavlink.state import JUMP_M
@@ -35,7 +37,15 @@ LYAPUNOV_SHORT_S, LYAPUNOV_LONG_S, LYAPUNOV_FLOOR_J = 0.5, 5.0, 0.1
 LONGEST_POSITION_GAP_S = 0.3  # over a longer one the velocity says nothing of the position
 FLOOR_COUNTS_FROM_M = 0.2  # above the fence's least height
 MOVING_M_S = 0.2  # a position that moves this fast has to change
-LIFT_OFF_SKIPS = ("position_error_m", "velocity_error_m_s", "yaw_error_deg", "thrust_margin")
+_TELL_THE_MODE = (mav.MAVLINK_MSG_ID_HEARTBEAT, mav.MAVLINK_MSG_ID_CURRENT_MODE)
+_TELL_THE_FLAGS = (mav.MAVLINK_MSG_ID_ESTIMATOR_STATUS, mav.MAVLINK_MSG_ID_EKF_STATUS_REPORT)
+LIFT_OFF_SKIPS = (
+    "ground_support",
+    "position_error_m",
+    "velocity_error_m_s",
+    "yaw_error_deg",
+    "thrust_margin",
+)
 
 INDEX = {name: number for number, name in enumerate(QUANTITIES)}
 _POSITION = TERMS.fields["position"][1] // 8  # type: ignore[index]
@@ -66,8 +76,6 @@ _LOOKED_AT = np.array(
 class LawBounds:
     """What of the law's bounds the supervisor measures against."""
 
-    thrust_min_newton: float
-    thrust_max_newton: float
     position_weight_bound: float  # N
     attitude_weight_bound: float  # N·m
     mass_kg: float  # m̂
@@ -78,8 +86,6 @@ def law_bounds(law: ControlLaw) -> LawBounds:
     """The bounds of a law that has been built."""
     p = law.parameters
     return LawBounds(
-        thrust_min_newton=float(p.thrust_min),
-        thrust_max_newton=float(p.thrust_max),
         position_weight_bound=float(p.position.weight_bound),
         attitude_weight_bound=float(p.attitude.weight_bound),
         mass_kg=float(p.mass_estimate),
@@ -97,10 +103,12 @@ class Sight(NamedTuple):
     jump_enu: Vector  # (3,) m
     asked_quaternion: Vector  # (4,) of the newest setpoint
     asked_thrust_newton: float
+    thrust_bounds_newton: tuple[float, float]  # least and greatest that can be sent
     terms: Terms | None  # of the law's last step, None before the first
     refused_setpoints: int  # in a row
     setpoint_gap_s: float
     overrun_share: float
+    thrust_hovers: float  # of the newest setpoint, in hover thrusts
     poses: PoseFigures | None = None  # from outside, where the estimator uses them
 
 
@@ -146,6 +154,7 @@ class Supervisor:
             None  # time, position, velocity, its integral
         )
         self._floor_counts = False
+        self.ground_contact = GroundContact()
         self._lyapunov: tuple[float, float, float] | None = None  # time, short, long
         self.log_health: LogHealth | None = None
 
@@ -307,6 +316,15 @@ class Supervisor:
         height_m = z_m - home[2]
         values[INDEX["fence_margin_m"]] = horizontal_margin(fence, x_m - home[0], y_m - home[1])
         values[INDEX["ceiling_margin_m"]] = fence.height_max_m - height_m
+        values[INDEX["ground_support"]] = self.ground_contact.support(
+            state.time_s,
+            height_m,
+            vz,
+            sight.thrust_hovers,
+            axis,
+            _angle_deg(cosine),
+            self._status,
+        )
         if not self._floor_counts and height_m > fence.height_min_m + FLOOR_COUNTS_FROM_M:
             self._floor_counts = True
         values[INDEX["floor_margin_m"]] = height_m - fence.height_min_m if self._floor_counts else None
@@ -316,7 +334,7 @@ class Supervisor:
         values[INDEX["refused_setpoints"]] = float(sight.refused_setpoints)
         values[INDEX["setpoint_gap_s"]] = sight.setpoint_gap_s
         values[INDEX["overrun_share"]] = sight.overrun_share if self._real_time else None
-        low, high, thrust = bounds.thrust_min_newton, bounds.thrust_max_newton, sight.asked_thrust_newton
+        (low, high), thrust = sight.thrust_bounds_newton, sight.asked_thrust_newton
         values[INDEX["thrust_margin"]] = min(thrust - low, high - thrust) / (high - low)
         if sight.terms is None:
             return
@@ -336,9 +354,15 @@ class Supervisor:
 
     def _measure_slow(self, time_s: float) -> None:
         values, status = self._values, self._status
-        flags = status.estimator_flags
+        heard_s = status.heard_s
+        told_s = max((heard_s[kind] for kind in _TELL_THE_MODE if kind in heard_s), default=None)
+        values[INDEX["mode_age_s"]] = _age_s(time_s, told_s)
+        values[INDEX["estimator_age_s"]] = _age_s(time_s, status.estimator_told_s)
+        values[INDEX["sys_status_age_s"]] = _age_s(time_s, heard_s.get(mav.MAVLINK_MSG_ID_SYS_STATUS))
+        flags_s = max((heard_s[kind] for kind in _TELL_THE_FLAGS if kind in heard_s), default=time_s)
+        flags = status.estimator_flags if time_s - flags_s < SILENT_S else None
         values[INDEX["estimator_lost"]] = None if flags is None else float(lost_parts(flags))
-        values[INDEX["innovation_ratio"]] = status.innovation_ratio
+        values[INDEX["innovation_ratio"]] = None if flags is None else status.innovation_ratio
         values[INDEX["sensors_unhealthy"]] = status.sensors_unhealthy
         values[INDEX["battery_remaining"]] = status.battery_remaining
         values[INDEX["battery_voltage_v"]] = status.battery_voltage_v
@@ -355,6 +379,10 @@ class Supervisor:
         if health is not None:
             values[INDEX["log_lost"]] = float(health.dropped + health.rejected + health.lost)
             values[INDEX["disk_free_mb"]] = None if health.free_bytes < 0 else health.free_bytes * 1e-6
+
+
+def _age_s(time_s: float, told_s: float | None) -> float | None:
+    return None if told_s is None else max(0.0, time_s - told_s)
 
 
 def lost_parts(flags: int) -> int:

@@ -10,7 +10,15 @@ import math
 import time
 from collections.abc import Callable
 
-from companion.autopilot.adapter import STATUS_MESSAGES, TRUTH_MESSAGES, Adapter, VehicleStatus
+from companion.autopilot.adapter import (
+    STATUS_MESSAGES,
+    TRUTH_MESSAGES,
+    Adapter,
+    Intent,
+    VehicleStatus,
+    Version,
+    version_text,
+)
 from companion.autopilot.registry import adapter_for
 from companion.config.errors import UserError
 from companion.control.structs import VehicleState
@@ -28,13 +36,20 @@ from companion.mavlink.protocol import (
     request_message,
 )
 from companion.mavlink.state import STATE_MESSAGES, StateAssembler
+from companion.mavlink.status_text import StatusText, StatusTexts
 
+LANDED_STATE_HOLDS_S = 2.5  # of the autopilot's time; asked for at 5 Hz, on a slow line it comes at 1 Hz
 POLL_S = 0.05
 POSE_POLL_S = 0.005
 ACK_TIMEOUT_S = 1.0
+IN_PROGRESS_S = 3.0  # from one "in progress" to the next word
+LISTEN_S = 1.2  # for a second autopilot: a HEARTBEAT comes every second
 TRIES = 4
 HEARTBEATS_OF_A_CLOCK_THAT_STANDS = 5
+_EXTENDED_SYS_STATE: int = mav.MAVLINK_MSG_ID_EXTENDED_SYS_STATE
 _TIMESYNC: int = mav.MAVLINK_MSG_ID_TIMESYNC
+_HEARTBEAT: int = mav.MAVLINK_MSG_ID_HEARTBEAT
+_STATUSTEXT: int = mav.MAVLINK_MSG_ID_STATUSTEXT
 _COMMAND_ACK: int = mav.MAVLINK_MSG_ID_COMMAND_ACK
 _PARAM_VALUE: int = mav.MAVLINK_MSG_ID_PARAM_VALUE
 HANDLED = STATE_MESSAGES | STATUS_MESSAGES | TRUTH_MESSAGES | {_TIMESYNC, _COMMAND_ACK, _PARAM_VALUE}
@@ -42,7 +57,10 @@ HANDLED = STATE_MESSAGES | STATUS_MESSAGES | TRUTH_MESSAGES | {_TIMESYNC, _COMMA
 
 
 class Vehicle:
-    """See the module. `on_state` is called with every new state, `on_message` with every message before that."""
+    """See the module. `on_state` is called with every new state, `on_message` with every message before that.
+
+    `on_lone_attitude` is called with every attitude that has no position (a state whose position is not a number).
+    """
 
     def __init__(self, link: Link, silence_limit_s: float) -> None:
         self.link = link
@@ -52,16 +70,35 @@ class Vehicle:
         self.assembler = StateAssembler()
         self.commands = CommandClient(link)
         self.parameters = ParameterClient(link)
-        self.version = (0, 0, 0)
+        self._texts = StatusTexts()
+        self._others_told = 0
+        self.taken_off = False
+        """Before, a second autopilot on the link is a reason not to fly; from then on it is only told."""
+        self.version: Version | None = None  # None: not told, or built without one
         self.simulated = False  # only a simulation publishes its true state
         self.silence_limit_s = silence_limit_s
+        self.landed_state_s = -math.inf  # when EXTENDED_SYS_STATE was heard last, the autopilot's time
         self.on_state: Callable[[VehicleState], None] = lambda _: None
+        self.on_lone_attitude: Callable[[VehicleState], None] = lambda _: None
         self.on_message: Callable[[Message], None] = lambda _: None
         self.watch: Callable[[], None] = lambda: None
         self.on_notice: Callable[[str], None] = lambda _: None
         self.outside_poses: OutsidePoses | None = None
         self.poses = PoseComparison()
         self.poses_are_used: bool | None = None  # by the estimator; None: not known
+
+    @property
+    def on_ground(self) -> bool | None:
+        """What the land detector says (EXTENDED_SYS_STATE); None where it says nothing, or said it too long ago."""
+        state, age_s = self.status.landed_state, self.link.autopilot_time_s - self.landed_state_s
+        if state == mav.MAV_LANDED_STATE_UNDEFINED or not 0.0 <= age_s <= LANDED_STATE_HOLDS_S:
+            return None
+        return bool(state == mav.MAV_LANDED_STATE_ON_GROUND)
+
+    @property
+    def is_ours(self) -> bool:
+        """Whether the autopilot is in the mode in which it follows our setpoints."""
+        return self.adapter.is_mode(self.status.custom_mode, Intent.EXTERNAL)
 
     # Waiting ----------------------------------------------------------------------------------------
 
@@ -79,6 +116,8 @@ class Vehicle:
         asked_s = time.monotonic()
         while not condition():
             self.watch()
+            if len(link.other_autopilots) > self._others_told:
+                self._judge_others()
             if bounded and min(link.clock_stands_s, time.monotonic() - asked_s) > timeout_s:
                 raise WaitedTooLong(f"{what or 'the autopilot'}: nothing after {timeout_s:.0f} s")
             if self.outside_poses is not None:
@@ -132,6 +171,7 @@ class Vehicle:
 
     def _forward_poses(self, poses: OutsidePoses) -> None:
         poses.on_pose = self._compare_pose
+        poses.stamped_ns = self.link.answering_clock_ns
         for message in poses.poll():
             self.link.send(message)
         while poses.notices:
@@ -153,10 +193,18 @@ class Vehicle:
             self.link.keep_alive()
             self.link.answer_timesync(message)
             return
+        self.status.heard_s[kind] = self.link.autopilot_time_s
         if kind in TRUTH_MESSAGES:
             self.simulated = True
+        elif kind == _STATUSTEXT:
+            self._hear_texts(self._texts.take(message, time.monotonic()))
+            return
         elif kind in STATUS_MESSAGES:
-            self.status.take(message)
+            self.status.take(message, self.link.autopilot_time_s)
+            if kind == _HEARTBEAT:
+                self._hear_texts(self._texts.overdue(time.monotonic()))
+            if kind == _EXTENDED_SYS_STATE:
+                self.landed_state_s = self.link.autopilot_time_s
         elif kind == _COMMAND_ACK:
             self.commands.take(message)
         elif kind == _PARAM_VALUE:
@@ -167,6 +215,31 @@ class Vehicle:
             if state is not None:
                 self.state = state
                 self.on_state(state)
+            elif self.assembler.lone_attitude is not None:
+                self.on_lone_attitude(self.assembler.lone_attitude)
+
+    def _hear_texts(self, texts: list[StatusText]) -> None:
+        for each in texts:
+            message = mav.MAVLink_statustext_message(each.severity, each.text)
+            self.status.take(message)
+            self.on_message(message)
+
+    def _judge_others(self) -> None:
+        """Somebody else's autopilot is on this link.
+
+        Raises:
+            UserError: we are not in the air, and nobody has said which one is meant.
+        """
+        link, others = self.link, self.link.other_autopilots
+        self._others_told = len(others)
+        ours = f"{self.adapter.name}, system {link.target_system}"
+        names = [ours, *(others[system] for system in sorted(others))]
+        if not self.taken_off and link.system_wanted is None:
+            ids = " or ".join(f"--system {system}" for system in sorted((link.target_system or 0, *others)))
+            raise UserError(
+                f"{len(names)} autopilots on this link ({'; '.join(names)}); say which one with {ids}"
+            )
+        self.on_notice(f"another autopilot is heard on this link ({'; '.join(names[1:])}); we fly {ours}")
 
     # Getting to know it -----------------------------------------------------------------------------
 
@@ -192,8 +265,11 @@ class Vehicle:
                 raise UserError(self._why_nobody(timeout_s))
         self._pass_notices()
         heartbeat = self.link.heartbeat
+        self.link.look_out(True)
+        listened = self._listened()
         self.adapter = adapter_for(heartbeat.autopilot, heartbeat.type)
         self.parameters.bytewise = self.adapter.bytewise_parameters
+        self.status.ahrs_tells_estimator = self.adapter.ahrs_tells_estimator
         if self.outside_poses is not None:
             self.outside_poses.local_ned = self.adapter.takes_local_ned_odometry
         answered: list[Message] = []
@@ -213,16 +289,45 @@ class Vehicle:
         self.on_message = before
         if answered:
             number = answered[0].flight_sw_version
-            self.version = (number >> 24 & 0xFF, number >> 16 & 0xFF, number >> 8 & 0xFF)
+            version = (number >> 24 & 0xFF, number >> 16 & 0xFF, number >> 8 & 0xFF)
+            self.version = version if any(version) else None  # 0.0.0 is a build without tags
         elif self.link.counters["signed, and we have no key"]:
             raise UserError(
                 "the autopilot signs its messages and answers nothing that is not signed: give --signing-key FILE"
             )
+        self.until(listened)
+
+    def _listened(self) -> Callable[[], bool]:
+        """A condition for `until`: another autopilot would have been heard by now, if there were one.
+
+        By the autopilot's clock or ours, whichever is sooner there: a simulation may run faster. One that tells no time
+        tells it by its HEARTBEATs.
+        """
+        link, begun_s, first, told_s = self.link, time.monotonic(), self.link.heartbeat, math.nan
+
+        def enough() -> bool:
+            nonlocal told_s
+            if math.isnan(told_s) and link.autopilot_time_s > 0.0:
+                told_s = link.autopilot_time_s
+            untimed = math.isnan(told_s) and link.heartbeat is not first
+            passed_s = max(time.monotonic() - begun_s, link.autopilot_time_s - told_s)
+            return untimed or passed_s >= LISTEN_S
+
+        return enough
+
+    @property
+    def firmware(self) -> str:
+        """Name and version, for people."""
+        return f"{self.adapter.name} {version_text(self.version)}"
 
     def _why_nobody(self, timeout_s: float) -> str:
         counters = self.link.counters
         refused = self.link.refused
-        if self.link.not_open:
+        others = self.link.other_autopilots
+        if others:
+            names = "; ".join(others[system] for system in sorted(others))
+            heard = f"heard was {names}, but --system {self.link.system_wanted} is wanted"
+        elif self.link.not_open:
             heard = self.link.not_open
         elif refused:
             heard = (
@@ -248,11 +353,16 @@ class Vehicle:
         """
         for attempt in range(TRIES):
             self.commands.send(command, again=attempt > 0)
-            try:
-                self.until(lambda: self.commands.result is not None or enough(), ACK_TIMEOUT_S)
-            except WaitedTooLong:
-                continue
-            return self.commands.result
+            heard, timeout_s = 0, ACK_TIMEOUT_S
+            while True:
+                try:
+                    self.until(lambda: self.commands.result is not None or enough(), timeout_s)
+                except WaitedTooLong:
+                    if self.commands.in_progress == heard:
+                        break
+                    heard, timeout_s = self.commands.in_progress, IN_PROGRESS_S
+                    continue
+                return self.commands.result
         return None
 
     def result_word(self, result: int | None) -> str:

@@ -26,6 +26,9 @@ _STATE_UNITS = {
     "reference_yaw_rate": "rad/s",
     "reference_yaw_acceleration": "rad/s^2",
     "dt": "s",
+    "thrust_min": "N",
+    "thrust_max": "N",
+    "time": "s",
 }
 _MEMORY_UNITS = {
     "position_integral": "m",

@@ -29,6 +29,7 @@ class Connection:
     endpoint: Endpoint
     library: LinkLibrary = LinkLibrary.PYMAVLINK
     signing_key: Path | None = None
+    system: int | None = None  # of the autopilot that is meant; None: the only one there
 
     def open(self, say: Callable[[str], None] = lambda _: None) -> Link:
         """Open the link; `say` takes what the pilot should know.
@@ -47,5 +48,5 @@ class Connection:
         if self.library is LinkLibrary.MAVSDK:
             from companion.mavlink.mavsdk_link import MavsdkTransport
 
-            return Link(MavsdkTransport(self.endpoint), signer=signer)
-        return Link(open_transport(self.endpoint), signer=signer)
+            return Link(MavsdkTransport(self.endpoint), signer=signer, system=self.system)
+        return Link(open_transport(self.endpoint), signer=signer, system=self.system)

@@ -4,9 +4,12 @@
 |------------|------------------------------|------------------------------------|-----------------------------------|
 | UDP_IN     | `udpin:0.0.0.0:14540`, `udp:…` | `udpin://0.0.0.0:14540`, `udp://:14540` | listen, answer who speaks first |
 | UDP_OUT    | `udpout:192.168.1.2:14550`   | `udpout://192.168.1.2:14550`       | speak first to that address       |
+| UDP_BROADCAST | `udpbcast:192.168.1.255:14550`, `udpcast:…` | none           | call all there, then speak to who answers |
 | TCP_CLIENT | `tcp:127.0.0.1:5760`         | `tcpout://127.0.0.1:5760`, `tcp://…` | connect                         |
 | TCP_SERVER | `tcpin:0.0.0.0:5760`         | `tcpin://0.0.0.0:5760`             | wait for one connection           |
 | SERIAL     | `/dev/ttyACM0`, `/dev/ttyAMA0,921600` | `serial:///dev/ttyACM0:921600` | open the port            |
+
+A host may be a name, an IPv4 address, or an IPv6 address in brackets: `udpin:[::]:14540`.
 """
 
 from __future__ import annotations
@@ -26,6 +29,7 @@ class EndpointKind(enum.Enum):
 
     UDP_IN = "udpin"
     UDP_OUT = "udpout"
+    UDP_BROADCAST = "udpbcast"
     TCP_CLIENT = "tcp"
     TCP_SERVER = "tcpin"
     SERIAL = "serial"
@@ -35,13 +39,17 @@ _SCHEMES = {
     "udp": EndpointKind.UDP_IN,
     "udpin": EndpointKind.UDP_IN,
     "udpout": EndpointKind.UDP_OUT,
-    "udpcast": EndpointKind.UDP_OUT,
+    "udpbcast": EndpointKind.UDP_BROADCAST,
+    "udpcast": EndpointKind.UDP_BROADCAST,
     "tcp": EndpointKind.TCP_CLIENT,
     "tcpout": EndpointKind.TCP_CLIENT,
     "tcpin": EndpointKind.TCP_SERVER,
     "serial": EndpointKind.SERIAL,
     "serial_flowcontrol": EndpointKind.SERIAL,
 }
+
+
+_LISTENING = (EndpointKind.UDP_IN, EndpointKind.TCP_SERVER)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,14 +64,20 @@ class Endpoint:
         """Return pymavlink's spelling."""
         if self.kind is EndpointKind.SERIAL:
             return f"{self.host},{self.number}"
-        return f"{self.kind.value}:{self.host}:{self.number}"
+        return f"{self.kind.value}:{self._host_in_brackets}:{self.number}"
+
+    @property
+    def _host_in_brackets(self) -> str:
+        return f"[{self.host}]" if ":" in self.host else self.host
 
     @property
     def mavsdk_url(self) -> str:
         """The same address as MAVSDK spells it."""
         if self.kind is EndpointKind.TCP_CLIENT:
-            return f"tcpout://{self.host}:{self.number}"
-        return f"{self.kind.value}://{self.host}:{self.number}"
+            return f"tcpout://{self._host_in_brackets}:{self.number}"
+        if self.kind is EndpointKind.SERIAL:
+            return f"serial://{self.host}:{self.number}"
+        return f"{self.kind.value}://{self._host_in_brackets}:{self.number}"
 
 
 def parse_endpoint(text: str) -> Endpoint:
@@ -84,13 +98,36 @@ def parse_endpoint(text: str) -> Endpoint:
     kind, rest = _SCHEMES[match.group(1).lower()], match.group(2)
     if kind is EndpointKind.SERIAL:
         return _serial(text, rest)
+    if "@" in rest:
+        listens, _, speaks = rest.rpartition("@")
+        listens = listens if listens.partition(":")[0] else f"0.0.0.0{listens}"
+        raise UserError(
+            f"endpoint {text!r}: names two addresses, as MAVROS has them; give one: "
+            f"udpin:{listens} to listen, or udpout:{speaks} to speak first"
+        )
     host, colon, port = rest.rpartition(":")
     if not colon and not port.isdecimal():
         raise UserError(
             f"endpoint {text!r}: names no port; use for example {kind.value}:{rest or '127.0.0.1'}:14540"
         )
-    host = host or ("0.0.0.0" if kind in (EndpointKind.UDP_IN, EndpointKind.TCP_SERVER) else "127.0.0.1")
+    host = checked_host(f"endpoint {text!r}", host) or ("0.0.0.0" if kind in _LISTENING else "127.0.0.1")
     return Endpoint(kind, host, _number(text, port, "port", 65535))
+
+
+def checked_host(where: str, host: str) -> str:
+    """A host by name or number, without brackets. Raises UserError, beginning with `where`, for what can be none."""
+    if host.startswith("[") and host.endswith("]"):
+        host = host[1:-1]
+        if ":" in host:
+            return host
+    try:
+        host.encode("idna")
+        valid = host.isprintable() and " " not in host
+    except UnicodeError:
+        valid = False
+    if not valid:
+        raise UserError(f"{where}: {host!r} is no host name: the parts between its dots have 1 to 63 letters")
+    return host
 
 
 def _serial(text: str, rest: str) -> Endpoint:

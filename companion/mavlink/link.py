@@ -1,13 +1,13 @@
 """One conversation with one autopilot: bytes in, believed messages out; messages in, bytes out.
 
 The link locks on to the first autopilot it hears (or the one named) and obeys nobody else: frames of other
-systems are counted and dropped. It answers the autopilot's TIMESYNC, refuses every command that is meant for the
-companion, and nothing more; everything is done in the caller's thread, in the order the frames arrived.
+systems are counted and dropped, other autopilots remembered by name. It answers the autopilot's TIMESYNC, refuses every
+command that is meant for the companion, and nothing more; everything is done in the caller's thread, in the order the
+frames arrived.
 """
 
 from __future__ import annotations
 
-import math
 import time
 from collections import Counter
 from collections.abc import Callable, Container
@@ -17,6 +17,7 @@ from companion.mavlink.framing import Framer, is_signed
 from companion.mavlink.layouts import mav as mav  # for whoever speaks over the link
 from companion.mavlink.packed import packed
 from companion.mavlink.received import Received, read
+from companion.mavlink.sequence import SequenceCount
 from companion.mavlink.signing import FORGED, REPLAYED, UNSIGNED, Signer
 from companion.mavlink.stream_timing import STREAMS, StreamTiming
 from companion.mavlink.timesync import TimeSync
@@ -29,7 +30,19 @@ HEARTBEAT_PERIOD_S = 1.0
 AUTOPILOT_COMPONENT = mav.MAV_COMP_ID_AUTOPILOT1
 _HEARTBEAT: int = mav.MAVLINK_MSG_ID_HEARTBEAT
 _TIMESYNC: int = mav.MAVLINK_MSG_ID_TIMESYNC
-_NOT_AUTOPILOTS = (mav.MAV_AUTOPILOT_INVALID,)
+_AUTOPILOT_NAMES = {mav.MAV_AUTOPILOT_PX4: "PX4", mav.MAV_AUTOPILOT_ARDUPILOTMEGA: "ArduPilot"}
+_NOT_VEHICLES = frozenset(
+    (
+        mav.MAV_TYPE_GCS,
+        mav.MAV_TYPE_ONBOARD_CONTROLLER,
+        mav.MAV_TYPE_GIMBAL,
+        mav.MAV_TYPE_ADSB,
+        *range(mav.MAV_TYPE_CAMERA, mav.MAV_TYPE_DECAROTOR),  # camera to Open Drone ID
+        *range(mav.MAV_TYPE_BATTERY, mav.MAV_TYPE_GENERIC_MULTIROTOR),  # battery to winch
+        mav.MAV_TYPE_ILLUMINATOR,
+        mav.MAV_TYPE_GRIPPER,
+    )
+)
 REFUSAL_PERIOD_S = (
     0.1  # between answers to commands for us, so that who floods us with them cannot fill the wire
 )
@@ -60,9 +73,16 @@ class Link:
         tap: FrameTap | None = None,
         now_ns: Callable[[], int] = time.monotonic_ns,
         signer: Signer | None = None,
+        system: int | None = None,
     ) -> None:
-        """Speak over `transport`; with a `signer` everything is signed and nothing unsigned is believed."""
+        """Speak over `transport`; with a `signer` everything is signed and nothing unsigned is believed.
+
+        `system`: of the autopilot that is meant; None: whoever is heard first.
+        """
         self._transport = transport
+        self.system_wanted = system
+        self.other_autopilots: dict[int, str] = {}
+        """Autopilots on this wire that are not ours: system id, and how a person would call it."""
         self.signer = signer
         self._framer = Framer(mav.mavlink_map, stream=not transport.datagrams)
         self._codec = mav.MAVLink(None, srcSystem=1, srcComponent=OUR_COMPONENT)
@@ -73,13 +93,14 @@ class Link:
         self._last_heartbeat_autopilot_s = -1e9
         self._last_timesync_autopilot_s = -1e9
         self._asked_at: dict[int, float] = {}  # our TIMESYNC questions: our time (ns), the autopilot's (s)
-        self._expected_sequence: int | None = None
+        self._sequence = SequenceCount()
         self._boot_time_s = 0.0
         self._clock_moved_ns = now_ns()
         self.target_system: int | None = None
         self.heartbeat: Message | None = None
         self.counters: Counter[str] = Counter()
         self.timesync = TimeSync()
+        self._answered = (now_ns(), 0.0)  # our time, and what has been added to it (both ns)
         self.streams = StreamTiming(self.timesync)
         self.last_message_ns = 0
         self.wanted: Container[int] | None = None
@@ -130,7 +151,9 @@ class Link:
         message = self._next_believed()
         if message is None and self._transport.wait(timeout_s):
             for chunk in self._transport.receive():
-                self._framer.feed(chunk)
+                self._framer.feed(chunk, self._transport.sender)
+            if self._transport.strangers and self.signer is None:
+                self._look_at_strangers()
             message = self._next_believed()
         return message
 
@@ -161,21 +184,39 @@ class Link:
         if kind in _COMMANDS:
             self._refuse_command(message, mav.MAV_RESULT_UNSUPPORTED)
         if not ours:
-            self.counters["other senders"] += 1
             return None
-        self._count_loss(message.msg_sequence)
+        self._count_loss(message)
         self.last_message_ns = self._now_ns()
         self._note_time(message)
         if self._tap is not None:
             self._tap(False, self._boot_time_s, frame)
         if kind == _TIMESYNC:
+            if not self.is_for_us(message):
+                return None
             if message.tc1 != 0:
-                asked_s = self._asked_at.get(message.ts1, math.nan)
-                self.timesync.add(message.ts1, message.tc1, self.last_message_ns, self._boot_time_s - asked_s)
+                self._take_time_answer(message)
                 return None
         elif kind == _HEARTBEAT:
             self.heartbeat = message
         return message
+
+    def is_for_us(self, message: Message) -> bool:
+        """Whether an answer of the autopilot is addressed to us, or to nobody: another companion's and a ground
+        station's come by here, too. MAVLink 1, and older dialects, have no addressee in them.
+        """
+        if message.get_msgId() == _TIMESYNC:  # extension fields that the dialect has not
+            system, component = (*message.msg_payload[16:18], 0, 0)[:2]
+        else:
+            system, component = message.target_system, message.target_component
+        return system in (0, self.target_system) and component in (0, OUR_COMPONENT)
+
+    def _take_time_answer(self, message: Received) -> None:
+        """Only an answer to a question of ours counts, and once: TIMESYNC goes to everybody on the network."""
+        asked_s = self._asked_at.pop(message.ts1, None)
+        if asked_s is None:
+            self.counters["time answers to others"] += 1
+            return
+        self.timesync.add(message.ts1, message.tc1, self.last_message_ns, self._boot_time_s - asked_s)
 
     def _signature_holds(self, frame: bytes) -> bool:
         if self.signer is None:
@@ -207,35 +248,65 @@ class Link:
         """A message newer than our dialect: counted and logged, not understood."""
         self.counters["unknown messages"] += 1
         if (message.msg_system, message.msg_component) == (self.target_system, AUTOPILOT_COMPONENT):
-            self._count_loss(message.msg_sequence)
+            self._count_loss(message)
             if self._tap is not None:
                 self._tap(False, self._boot_time_s, message.msg_frame)
 
     def _is_our_autopilot(self, message: Received) -> bool:
         system, component = message.msg_system, message.msg_component
-        if self.target_system is None:
-            if (
-                system == 0  # means everybody, and is nobody's
-                or message.msg_id != _HEARTBEAT
-                or component != AUTOPILOT_COMPONENT
-                or message.autopilot in _NOT_AUTOPILOTS
-            ):
-                return False
+        wanted = self.system_wanted in (None, system)
+        if self.target_system is None and wanted and self._is_autopilot(message):
             self.target_system = system
             self._codec.srcSystem = system
         if system != self.target_system or component != AUTOPILOT_COMPONENT:
+            self._note_other(message)
+            return False
+        if message.msg_id == _HEARTBEAT and not self._is_autopilot(message):
+            self.counters["other senders"] += 1  # somebody who took the autopilot's numbers
             return False
         self._transport.believe_sender()
         return True
 
-    def _count_loss(self, sequence: int) -> None:
+    def _is_autopilot(self, message: Received) -> bool:
+        return bool(
+            message.msg_id == _HEARTBEAT
+            and message.msg_system != 0  # means everybody, and is nobody's
+            and message.msg_component == AUTOPILOT_COMPONENT
+            and message.autopilot != mav.MAV_AUTOPILOT_INVALID
+            and message.type not in _NOT_VEHICLES
+        )
+
+    def _note_other(self, message: Received) -> None:
+        """Count a frame of somebody else; another autopilot is remembered."""
+        system = message.msg_system
+        if self._is_autopilot(message):
+            name = _AUTOPILOT_NAMES.get(message.autopilot, f"MAV_AUTOPILOT {message.autopilot}")
+            self.other_autopilots[system] = f"{name}, system {system}"
+        known = system in self.other_autopilots and message.msg_component == AUTOPILOT_COMPONENT
+        self.counters["other autopilots" if known else "other senders"] += 1
+
+    def look_out(self, wanted: bool) -> None:
+        """Whether HEARTBEATs from addresses that are not our autopilot's are looked at, to notice another one.
+
+        It costs the kernel's filter, so not in flight.
+        """
+        self._transport.look_out(wanted)
+
+    def _look_at_strangers(self) -> None:
+        strangers = self._transport.strangers
+        while strangers:
+            framer = Framer(mav.mavlink_map, stream=False)
+            framer.feed(strangers.popleft())
+            while (frame := framer.next_frame()) is not None:
+                message = read(frame)
+                if message is None:
+                    framer.reject()
+                elif message.msg_id == _HEARTBEAT and message.msg_system != self.target_system:
+                    self._note_other(message)
+
+    def _count_loss(self, message: Received) -> None:
         self.counters["received"] += 1
-        if self._expected_sequence is not None:
-            gap = (sequence - self._expected_sequence) % 256
-            if gap >= 128:
-                return  # a frame that came late or twice, not 128 lost ones; the expected one still is
-            self.counters["lost"] += gap
-        self._expected_sequence = (sequence + 1) % 256
+        self.counters["lost"] += self._sequence.lost_before(message.msg_sequence, message.msg_frame)
 
     def _note_time(self, message: Received) -> None:
         boot_ms, measured = message.boot_ms, message.msg_id in STREAMS
@@ -261,7 +332,23 @@ class Link:
 
         A simulator that waits for the answer then knows that its state has been dealt with, too.
         """
-        self.send(mav.MAVLink_timesync_message(self._now_ns(), question.ts1))
+        self.send(mav.MAVLink_timesync_message(self.answering_clock_ns(self._now_ns()), question.ts1))
+
+    def answering_clock_ns(self, our_ns: int) -> int:
+        """What the clock says, at `our_ns` of ours, with which we answer TIMESYNC and stamp ODOMETRY.
+
+        It is ours as long as the autopilot's runs as fast. Where that drifts away (a simulation whose loop sleeps whole
+        periods), it keeps step with the autopilot's: a filter there that follows a drift late has none to follow.
+        """
+        before_ns, added_ns = self._answered
+        if self.timesync.steady and our_ns > before_ns:
+            added_ns += self.timesync.drift * (our_ns - before_ns)
+            self._answered = our_ns, added_ns
+        elif our_ns > before_ns:
+            self._answered = our_ns, added_ns
+        elif self.timesync.steady:
+            added_ns -= self.timesync.drift * (before_ns - our_ns)
+        return our_ns + round(added_ns)
 
     def send(self, message: Message) -> bool:
         """Pack and send one message; False when it could not go out now (counted)."""

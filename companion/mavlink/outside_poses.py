@@ -3,7 +3,8 @@
 Time. The source stamps with a clock of its own. The quickest datagram of the last seconds tells how that clock stands to
 ours (all others were only later), so jitter of the network does not get into the time stamps; its least delay does, and
 is for the autopilot's parameter (PX4: EKF2_EV_DELAY, ArduPilot: VISO_DELAY_MS). ODOMETRY goes out with time_usec on the
-clock with which we answer the autopilot's TIMESYNC questions: PX4 maps it to its own by them, ArduPilot by a filter.
+clock with which we answer the autopilot's TIMESYNC questions (`Link.answering_clock_ns`): PX4 maps it to its own by them,
+ArduPilot by a filter of its own. Both filters are slow to follow a drift, so that clock keeps step with the autopilot's.
 
 Frames. PX4 takes MAV_FRAME_LOCAL_NED, so that yaw is a heading; ArduPilot takes MAV_FRAME_LOCAL_FRD only and drops all
 else without a word. The numbers are the same: north-east-down of the source's origin.
@@ -13,6 +14,7 @@ from __future__ import annotations
 
 import math
 import socket
+import statistics
 import time
 from collections import Counter, deque
 from collections.abc import Callable
@@ -34,10 +36,14 @@ from companion.mavlink.pose_datagram import (
     parse_pose,
     upper_triangle,
 )
+from companion.mavlink.transport import resolve
 
 DEFAULT_RATE_HZ = 50.0  # PX4 advises 30 to 50
 DATAGRAMS_PER_POLL = 64
 CLOCK_WINDOW_S = 5.0  # of datagrams that the source's clock is judged by
+CLOCK_TURN_S = 0.1  # one least difference is kept of each such time, and the clocks' drift fitted over them
+LEAST_TURNS = 4
+FASTEST_DRIFT = 0.02
 LATE_S = 0.2  # behind the quickest datagram: the pose is history
 SILENT_S = 0.5
 SHORTEST_STEP_S = 1e-4  # from pose to pose; closer ones give differences that are no velocities
@@ -61,12 +67,12 @@ class OutsidePoses:
         Raises:
             UserError: the address cannot be listened on.
         """
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setblocking(False)
         try:
-            self._socket.bind(address)
+            family, place = resolve(*address, socket.SOCK_DGRAM, True)
+            self._socket = socket.socket(family, socket.SOCK_DGRAM)
+            self._socket.setblocking(False)
+            self._socket.bind(place)
         except OSError as error:
-            self._socket.close()
             raise UserError(
                 f"--outside-poses {address[0]}:{address[1]}: {error.strerror}; "
                 "is another program listening there? 0.0.0.0 listens on all addresses"
@@ -75,7 +81,9 @@ class OutsidePoses:
         self._now_ns = now_ns
         self._delays: deque[tuple[float, float]] = (
             deque()
-        )  # (our time, our time − source's), delays ascending
+        )  # (our time, our time − source's), the least of each CLOCK_TURN_S
+        self._turn_s = -math.inf
+        self._drift = 0.0  # by how much the source's clock is slower than ours
         self._last: OutsidePose | None = None
         self._due_s = -math.inf  # on the source's clock
         self._last_true_s = -math.inf  # on ours
@@ -87,6 +95,8 @@ class OutsidePoses:
         self._told_s: dict[str, float] = {}
         self.local_ned = True
         """Whether the autopilot takes MAV_FRAME_LOCAL_NED (PX4) or MAV_FRAME_LOCAL_FRD only (ArduPilot)."""
+        self.stamped_ns: Callable[[int], int] = lambda our_ns: our_ns
+        """What the clock says that the autopilot knows from our TIMESYNC answers, at a moment of ours."""
         self.on_pose: Callable[[OutsidePose], None] = lambda _: None
         """Called with every pose that is readable, new and not late, before jumps and the rate are looked at."""
         self.counters: Counter[str] = Counter()
@@ -95,7 +105,7 @@ class OutsidePoses:
     @property
     def address(self) -> tuple[str, int]:
         """Where we listen."""
-        host, port = self._socket.getsockname()
+        host, port, *_ = self._socket.getsockname()
         return str(host), int(port)
 
     def fileno(self) -> int:
@@ -171,7 +181,7 @@ class OutsidePoses:
         if pose.covariance is not None:
             covariance = upper_triangle(_covariance_ned_frd(full_covariance(pose.covariance))).tolist()
         return mav.MAVLink_odometry_message(
-            round(our_time_s * 1e6),
+            round(self.stamped_ns(round(our_time_s * 1e9)) * 1e-3),
             mav.MAV_FRAME_LOCAL_NED if self.local_ned else mav.MAV_FRAME_LOCAL_FRD,
             mav.MAV_FRAME_BODY_FRD,
             *position.tolist(),
@@ -194,12 +204,15 @@ class OutsidePoses:
     def _our_time(self, source_s: float, arrived_s: float) -> float:
         """When, on our clock, a pose was true: by the least difference of the clocks within the window."""
         delays, delay = self._delays, arrived_s - source_s
-        while delays and delays[-1][1] >= delay:
-            delays.pop()
-        delays.append((arrived_s, delay))
-        while delays[0][0] < arrived_s - CLOCK_WINDOW_S:
-            delays.popleft()
-        return source_s + delays[0][1]
+        if not delays or arrived_s - self._turn_s > CLOCK_TURN_S:
+            self._turn_s = arrived_s
+            while delays and delays[0][0] < arrived_s - CLOCK_WINDOW_S:
+                delays.popleft()
+            self._drift = _slope(list(delays))
+            delays.append((arrived_s, delay))
+        elif delay <= delays[-1][1] + self._drift * (arrived_s - delays[-1][0]):
+            delays[-1] = arrived_s, delay
+        return source_s + min(least + self._drift * (arrived_s - then) for then, least in delays)
 
     def _start_again(self) -> None:
         self._delays.clear()
@@ -255,6 +268,14 @@ class OutsidePoses:
         elif self._silent:
             self.notices.append(f"poses from outside: back after {now_s - self._heard_s:.1f} s")
         self._heard_s, self._silent = now_s, False
+
+
+def _slope(points: list[tuple[float, float]]) -> float:
+    """Median slope of all pairs of points (Theil and Sen); 0 where there are too few, at most FASTEST_DRIFT."""
+    if len(points) < LEAST_TURNS:
+        return 0.0
+    slopes = [(d - c) / (b - a) for n, (a, c) in enumerate(points) for b, d in points[n + 1 :] if b > a]
+    return min(max(statistics.median(slopes), -FASTEST_DRIFT), FASTEST_DRIFT) if slopes else 0.0
 
 
 def _to_body(quaternion_wxyz: Vector, vector: Vector) -> Vector:

@@ -15,13 +15,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from companion.config.errors import UserError
 from companion.mavlink.frames import enu_from_global, enu_from_ned, quaternion_enu_flu_from_ned_frd
 from companion.mavlink.framing import Framer
 from companion.mavlink.link import mav
 from companion.mavlink.pose_datagram import OutsidePose, pack_pose
 from companion.mavlink.protocol import message_interval
 from companion.mavlink.received import read
-from companion.mavlink.transport import Transport
+from companion.mavlink.transport import Transport, resolve
 
 _ASK_AGAIN_S = 2.0
 _OUR_COMPONENT = 197  # MAV_COMP_ID_VISUAL_INERTIAL_ODOMETRY
@@ -44,8 +45,11 @@ class PoseSender:
     def __init__(
         self, target: tuple[str, int], imperfection: Imperfection, seed: int = 0, binary: bool = True
     ) -> None:
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._target = target
+        try:
+            family, self._target = resolve(*target, socket.SOCK_DGRAM, False)
+        except OSError as error:
+            raise UserError(f"--to {target[0]}:{target[1]}: {error.strerror or error}") from None
+        self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._imperfection = imperfection
         self._random = np.random.default_rng(seed)
         self._binary = binary
@@ -82,15 +86,21 @@ class PoseSender:
         self._socket.close()
 
 
-def true_poses(transport: Transport, rate_hz: float, poll_s: float = 0.005) -> Iterator[OutsidePose | None]:
+def true_poses(
+    transport: Transport, rate_hz: float, poll_s: float = 0.005, system: int | None = None
+) -> Iterator[OutsidePose | None]:
     """Poses out of a simulator's HIL_STATE_QUATERNION, for ever; None whenever there is none yet.
 
     Stamped with our monotonic clock at arrival, for the message's own time is not filled in everywhere.
+
+    Raises:
+        UserError: two simulators tell their truth here, and no `system` is given.
     """
+    wanted = system
     framer = Framer(mav.mavlink_map, stream=not transport.datagrams)
     codec = mav.MAVLink(None, srcSystem=1, srcComponent=_OUR_COMPONENT)
     asked_s = -math.inf
-    system: int | None = None
+    system = None
     origin: tuple[float, float, float] | None = None
     while True:
         now_s = time.monotonic()
@@ -99,16 +109,24 @@ def true_poses(transport: Transport, rate_hz: float, poll_s: float = 0.005) -> I
             _ask(transport, codec, system or 1, rate_hz)
         if transport.wait(poll_s):
             for chunk in transport.receive():
-                framer.feed(chunk)
+                framer.feed(chunk, transport.sender)
         while (frame := framer.next_frame()) is not None:
             message = read(frame)
             if message is None:
                 framer.reject()
                 continue
-            if message.get_srcComponent() == mav.MAV_COMP_ID_AUTOPILOT1 and system is None:
+            if message.get_srcComponent() != mav.MAV_COMP_ID_AUTOPILOT1:
+                continue
+            if system is None and wanted in (None, message.get_srcSystem()):
                 system, asked_s = message.get_srcSystem(), -math.inf
                 transport.believe_sender()
             if message.get_msgId() != mav.MAVLINK_MSG_ID_HIL_STATE_QUATERNION:
+                continue
+            if message.get_srcSystem() != system:
+                if wanted is None:
+                    raise UserError(
+                        f"simulators with system {system} and {message.get_srcSystem()} are heard: give --system N"
+                    )
                 continue
             place = (message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3)
             origin = origin or place

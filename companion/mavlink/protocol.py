@@ -5,7 +5,9 @@ Each is a small state object that is fed every message; who waits, and for how l
 
 from __future__ import annotations
 
+import math
 import struct
+from collections import Counter
 from dataclasses import dataclass
 
 from companion.mavlink.link import Link, Message, mav
@@ -40,18 +42,31 @@ class Command:
 
 
 class CommandClient:
-    """Sends one command at a time and remembers the answer. PX4 may acknowledge a command twice."""
+    """Sends one command at a time and remembers the answer.
+
+    A COMMAND_ACK names the command's number, and that only: the late answer to an earlier command of the same number
+    (another stream's interval, disarming instead of arming) looks like the answer to this one. So where answers are
+    still owed, a refusal is believed once it comes a second time, and the caller asks again when it does not.
+    """
 
     def __init__(self, link: Link) -> None:
         self._link = link
         self._waiting: int | None = None
         self._confirmation = 0
+        self._owed: Counter[int] = Counter()  # answers that never came, by the command's number
+        self._doubted: int | None = None  # a refusal that may belong to an earlier command
         self.result: int | None = None
+        self.in_progress = 0
+        """How often the autopilot has said that it is still at it."""
 
     def send(self, command: Command, again: bool = False) -> None:
         """Send `command` (COMMAND_LONG) and forget earlier answers; `again` marks it as a repetition."""
         self._confirmation = self._confirmation + 1 if again else 0
-        self._waiting, self.result = command.number, None
+        if not again:
+            self._doubted = None
+        if self._waiting is not None and self.result is None:
+            self._owed[self._waiting] += 1
+        self._waiting, self.result, self.in_progress = command.number, None, 0
         parameters = (*command.parameters, *(0.0,) * (7 - len(command.parameters)))
         self._link.send(
             mav.MAVLink_command_long_message(
@@ -64,18 +79,26 @@ class CommandClient:
         )
 
     def take(self, message: Message) -> None:
-        """Take a COMMAND_ACK; anything else is ignored."""
-        if (
-            message.get_msgId() == mav.MAVLINK_MSG_ID_COMMAND_ACK
-            and message.command == self._waiting
-            and message.result != mav.MAV_RESULT_IN_PROGRESS
-        ):
-            self.result = message.result
+        """Take a COMMAND_ACK to us, or to nobody (MAVLink 1 has no addressee); anything else is ignored."""
+        if message.get_msgId() != mav.MAVLINK_MSG_ID_COMMAND_ACK or not self._link.is_for_us(message):
+            return
+        number, result = message.command, message.result
+        if number != self._waiting or self.result is not None:
+            if self._owed[number] > 0:
+                self._owed[number] -= 1
+        elif result == mav.MAV_RESULT_IN_PROGRESS:
+            self.in_progress += 1
+        elif result == mav.MAV_RESULT_ACCEPTED or self._owed[number] == 0 or result == self._doubted:
+            self.result = result
+        else:
+            self._owed[number] -= 1
+            self._doubted = result
 
 
 class ParameterClient:
     """Reads and sets parameters. `bytewise` says how integers are encoded: PX4 puts their bits into the float
-    field, ArduPilot their value (AUTOPILOT_VERSION's capabilities tell).
+    field, ArduPilot their value (AUTOPILOT_VERSION's capabilities tell). PARAM_VALUE has no addressee: what another
+    station reads or sets comes here, too, and counts for names that we have asked for.
     """
 
     def __init__(self, link: Link) -> None:
@@ -83,9 +106,11 @@ class ParameterClient:
         self.bytewise = False
         self.values: dict[str, float] = {}
         self._types: dict[str, int] = {}
+        self._asked: set[str] = set()
 
     def request(self, name: str) -> None:
         """Ask for one parameter by name (PARAM_REQUEST_READ)."""
+        self._asked.add(name)
         self._link.send(
             mav.MAVLink_param_request_read_message(
                 self._link.target_system or 1, mav.MAV_COMP_ID_AUTOPILOT1, name.encode(), -1
@@ -112,6 +137,8 @@ class ParameterClient:
         name, kind, value = str(message.param_id), int(message.param_type), float(message.param_value)
         if self.bytewise and kind in _INTEGER_TYPES:
             value = float(struct.unpack(_INTEGER_TYPES[kind], struct.pack("<f", message.param_value))[0])
+        if name not in self._asked or not math.isfinite(value):
+            return
         self._types[name] = kind
         self.values[name] = value
 

@@ -80,6 +80,11 @@ class Received:
         layout = self._layout
         return None if layout is None or layout.stamp_us_at < 0 else self._integer(layout.stamp_us_at, 8)
 
+    @property
+    def msg_payload(self) -> bytes:
+        """As it came: without the zeros at its end, and with what a newer dialect has put behind the fields."""
+        return self.msg_frame[self._head : self._head + self._length]
+
     def _integer(self, place: int, size: int) -> int:
         start, end = self._head + place, self._head + self._length
         part = self.msg_frame[start : min(start + size, end)]  # zeros at the end are not sent
@@ -117,7 +122,7 @@ class Received:
         if not layout.plain:
             message = mav.MAVLink(None).decode(bytearray(self.msg_frame))
             return [(name, getattr(message, name)) for name in layout.names]
-        payload = self.msg_frame[self._head : self._head + self._length]
+        payload = self.msg_payload
         if len(payload) < layout.size:
             payload += bytes(layout.size - len(payload))
         numbers = layout.unpack(payload)

@@ -15,28 +15,29 @@ _SO_ATTACH_FILTER, _SO_DETACH_FILTER = 26, 27  # <asm-generic/socket.h>; Python 
 _INSTRUCTION = struct.Struct("=HBBI")  # struct sock_filter: code, jump if true, jump if false, k
 _NETWORK_HEADER = 0xFFF00000  # SKF_NET_OFF: offsets from here on count from the IP header
 _LOAD_WORD, _LOAD_HALF, _JUMP_EQUAL, _RETURN = 0x20, 0x28, 0x15, 0x06
-_SOURCE_ADDRESS = _NETWORK_HEADER + 12
+_SOURCE_ADDRESS = {socket.AF_INET: _NETWORK_HEADER + 12, socket.AF_INET6: _NETWORK_HEADER + 8}
+_IPV4_IN_IPV6 = "::ffff:"  # how a socket that hears both spells an IPv4 sender
 _SOURCE_PORT = 0  # a UDP socket's filter sees the datagram from its UDP header on
 _WHOLE = 0xFFFFFFFF
 
 
-def hear_only(listener: socket.socket, sender: tuple[str, int]) -> bool:
-    """Let only datagrams of `sender` (IPv4 address, port) into a UDP socket; False where the system cannot."""
+def hear_only(listener: socket.socket, sender: tuple[str, int] | tuple[str, int, int, int]) -> bool:
+    """Let only datagrams of `sender` (IPv4 or IPv6 address, port, …) into a UDP socket; False where the system cannot."""
     if sys.platform != "linux":
         return False
-    host, port = sender
+    host, port = sender[0].partition("%")[0].removeprefix(_IPV4_IN_IPV6), sender[1]
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
-        address = int.from_bytes(socket.inet_aton(host), "big")
+        words = struct.iter_unpack(">I", socket.inet_pton(family, host))
+        wanted = [(_LOAD_WORD, _SOURCE_ADDRESS[family] + 4 * n, word) for n, (word,) in enumerate(words)]
+        wanted.append((_LOAD_HALF, _SOURCE_PORT, port))
+        tests = []
+        for load, place, value in wanted:
+            to_the_end = 2 * len(wanted) - len(tests) - 1
+            tests += [(load, 0, 0, place), (_JUMP_EQUAL, 0, to_the_end, value)]
         program = b"".join(
             _INSTRUCTION.pack(*instruction)
-            for instruction in (
-                (_LOAD_WORD, 0, 0, _SOURCE_ADDRESS),
-                (_JUMP_EQUAL, 0, 3, address),
-                (_LOAD_HALF, 0, 0, _SOURCE_PORT),
-                (_JUMP_EQUAL, 0, 1, port),
-                (_RETURN, 0, 0, _WHOLE),
-                (_RETURN, 0, 0, 0),
-            )
+            for instruction in (*tests, (_RETURN, 0, 0, _WHOLE), (_RETURN, 0, 0, 0))
         )
         buffer = ctypes.create_string_buffer(program, len(program))
         count = len(program) // _INSTRUCTION.size

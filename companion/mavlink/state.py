@@ -2,7 +2,8 @@
 
 ATTITUDE_QUATERNION gives attitude and body rate and sets the moment; LOCAL_POSITION_NED gives position and
 velocity and is carried to that moment by its velocity. Both autopilots send both; what differs is how
-often. A state is made each time an attitude arrives and a position is young enough.
+often. A state is made each time an attitude arrives and a position is young enough; an attitude without one is enough to
+keep a vehicle level (`lone_attitude`).
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ _POSITION: int = mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED
 _ATTITUDE: int = mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION
 STATE_MESSAGES = frozenset((_POSITION, _ATTITUDE))
 _Triple = tuple[float, float, float]
+_UNKNOWN: Vector = np.full(3, np.nan)
 
 
 class StateAssembler:
@@ -39,6 +41,8 @@ class StateAssembler:
         self._position_enu: Vector | None = None
         self._velocity_enu: Vector = np.zeros(3)
         self._jump_enu: Vector | None = None
+        self.lone_attitude: VehicleState | None = None
+        """Of the message taken last, where its attitude had no position: position and velocity are not numbers."""
 
     @property
     def velocity_enu(self) -> Vector:
@@ -48,6 +52,7 @@ class StateAssembler:
     def take(self, message: Message) -> VehicleState | None:
         """Take one message; return the state when it completes one."""
         kind = message.get_msgId()
+        self.lone_attitude = None
         if kind == _POSITION:
             self._take_position(message)
             return None
@@ -100,15 +105,17 @@ class StateAssembler:
         if not self._newer(time_s, self.attitude_time_s, "attitude"):
             return None
         self.attitude_time_s = time_s
+        quaternion = quaternion_enu_flu_from_ned_frd((w / norm, x / norm, y / norm, z / norm))
         ahead_s = time_s - self.position_time_s
         if self._position_enu is None or abs(ahead_s) > POSITION_TOO_OLD_S:
             self.counters["attitudes without position"] += 1
+            self.lone_attitude = VehicleState(time_s, _UNKNOWN, _UNKNOWN, quaternion, flu_from_frd(rates))
             return None
         return VehicleState(
             time_s=time_s,
             position_enu=self._position_enu + ahead_s * self._velocity_enu,
             velocity_enu=self._velocity_enu,
-            quaternion_wxyz=quaternion_enu_flu_from_ned_frd((w / norm, x / norm, y / norm, z / norm)),
+            quaternion_wxyz=quaternion,
             body_rate_flu=flu_from_frd(rates),
         )
 

@@ -13,6 +13,7 @@ import socket
 import termios
 import time
 from collections import deque
+from typing import cast
 
 from companion.config.errors import UserError
 from companion.mavlink.endpoint import Endpoint, EndpointKind
@@ -22,6 +23,8 @@ RECEIVE_BUFFER_BYTES = 1 << 20
 CHUNKS_PER_READ = 64  # bounds how long one `receive` can keep the control thread under a flood
 
 
+Address = tuple[str, int] | tuple[str, int, int, int]
+"""IPv4: host, port; IPv6: flow label and scope, too."""
 PEER_SILENT_S = 1.0  # after this the autopilot may speak from another address: it started again
 RETRY_S = 0.2  # between attempts to open a broken TCP or serial connection again
 ATTEMPT_S = 0.2  # how long one attempt may keep the caller
@@ -36,6 +39,10 @@ class Transport:
     def __init__(self) -> None:
         self.notices: deque[str] = deque(maxlen=32)
         """What happened to the wire, in sentences for the pilot; taken away by whoever shows them."""
+        self.sender: object = None
+        """Whose the chunks of the last `receive` are: a frame cut in two goes on in the same sender's next one."""
+        self.strangers: deque[bytes] = deque(maxlen=CHUNKS_PER_READ)
+        """What came from others than the peer while they are looked at (`look_out`)."""
 
     def wait(self, timeout_s: float) -> bool:
         """Block until something can be received, at most `timeout_s`; say whether something can."""
@@ -60,6 +67,9 @@ class Transport:
         """Why there has been no connection yet, and the remedy; empty once there was one, and where none is needed."""
         return ""
 
+    def look_out(self, wanted: bool) -> None:
+        """Whether to keep what others than the peer send, in `strangers`. Where all come over one wire, nothing to do."""
+
     def close(self) -> None:
         """Close the wire."""
         raise NotImplementedError
@@ -70,33 +80,44 @@ class UdpTransport(Transport):
 
     A listening one hears nobody but its peer while the peer speaks. Once that has been silent for PEER_SILENT_S, a good
     frame of the same autopilot from another address makes that one the peer: a restarted router has a new port. Others'
-    datagrams are dropped by the kernel while the peer speaks, so that no flood of them reaches the control thread.
+    datagrams are dropped by the kernel while the peer speaks, so that no flood of them reaches the control thread, unless
+    `look_out` asks for them. A broadcast address is spoken to until somebody answers, then that one only.
     """
 
     datagrams = True
 
     def __init__(self, endpoint: Endpoint) -> None:
         super().__init__()
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
-        self._socket.setblocking(False)
         self._fixed_peer = endpoint.kind is EndpointKind.UDP_OUT
         self._peer_heard_s = 0.0
-        self._last_sender: tuple[str, int] | None = None
-        self._greeted: tuple[str, int] | None = None
-        self.peer: tuple[str, int] | None = None
+        self._last_sender: Address | None = None
+        self._greeted: Address | None = None
+        self.peer: Address | None = None
         self._filtered = False
+        self._looking_out = False
+        listens = endpoint.kind is EndpointKind.UDP_IN
+        try:
+            family, address = resolve(endpoint.host, endpoint.number, socket.SOCK_DGRAM, listens)
+            self._socket = socket.socket(family, socket.SOCK_DGRAM)
+        except OSError as error:
+            raise _cannot_open(endpoint, error) from None
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
+        self._socket.setblocking(False)
         self._arrivals = select.poll()
         self._arrivals.register(self._socket, select.POLLIN)
         try:
-            if self._fixed_peer:
-                self.peer = (socket.gethostbyname(endpoint.host), endpoint.number)
-                self._socket.bind(("0.0.0.0", 0))
+            if listens:
+                self._socket.bind(address)
             else:
-                self._socket.bind((endpoint.host, endpoint.number))
+                self._socket.bind(("::" if family == socket.AF_INET6 else "0.0.0.0", 0))
         except OSError as error:
             self._socket.close()
             raise _cannot_open(endpoint, error) from None
+        if self._fixed_peer:
+            self.peer = address
+        elif not listens:
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+            self._greeted = address
         if self.peer is not None:
             self._filtered = hear_only(self._socket, self.peer)
 
@@ -120,13 +141,16 @@ class UdpTransport(Transport):
                 continue
             if sender == self.peer:
                 self._peer_heard_s = now_s
-                if not self._filtered:
+                if not self._filtered and not self._looking_out:
                     self._filtered = hear_only(self._socket, sender)
+                self.sender = sender
                 chunks.append(data)
             elif self.peer is None or (not self._fixed_peer and now_s - self._peer_heard_s > PEER_SILENT_S):
-                self._last_sender = sender
+                self._last_sender = self.sender = sender
                 chunks.append(data)
                 break  # its frames have to be believed before this sender becomes the peer
+            elif self._looking_out:
+                self.strangers.append(data)
         return chunks
 
     def believe_sender(self) -> None:
@@ -134,11 +158,21 @@ class UdpTransport(Transport):
         if self._last_sender is None or self._fixed_peer:
             return
         if self.peer is not None:
-            host, port = self._last_sender
+            host, port, *_ = self._last_sender
             self.notices.append(f"the autopilot now speaks from {host}:{port}")
         self.peer, self._last_sender = self._last_sender, None
         self._peer_heard_s = time.monotonic()
-        self._filtered = self.peer is not None and hear_only(self._socket, self.peer)
+        self._filtered = (
+            self.peer is not None and not self._looking_out and hear_only(self._socket, self.peer)
+        )
+
+    def look_out(self, wanted: bool) -> None:
+        """See `Transport.look_out`."""
+        self._looking_out = wanted and not self._fixed_peer
+        if self._looking_out and self._filtered:
+            hear_everybody(self._socket)
+            self._filtered = False
+        self.strangers.clear()
 
     def greet_sender(self) -> None:
         """See `Transport.greet_sender`: our frames go there until we have a peer."""
@@ -186,7 +220,10 @@ class StreamTransport(Transport):
         self._not_open = ""
         try:
             if endpoint.kind is EndpointKind.TCP_SERVER:
-                self._listener = socket.create_server((endpoint.host, endpoint.number))
+                family, address = resolve(endpoint.host, endpoint.number, socket.SOCK_STREAM, True)
+                self._listener = socket.create_server(
+                    address, family=family, dualstack_ipv6=endpoint.host == "::"
+                )
             self._file = self._open(0.0 if self._listener is not None else FIRST_ATTEMPT_S)
         except OSError as error:
             if endpoint.kind is EndpointKind.SERIAL or not _may_come(error):
@@ -297,9 +334,21 @@ def open_transport(endpoint: Endpoint) -> UdpTransport | StreamTransport:
     Raises:
         UserError: when it cannot be opened (port taken, no such device, no such host), with the remedy.
     """
-    if endpoint.kind in (EndpointKind.UDP_IN, EndpointKind.UDP_OUT):
+    if endpoint.kind in (EndpointKind.UDP_IN, EndpointKind.UDP_OUT, EndpointKind.UDP_BROADCAST):
         return UdpTransport(endpoint)
     return StreamTransport(endpoint)
+
+
+def resolve(host: str, port: int, kind: int, listens: bool) -> tuple[socket.AddressFamily, Address]:
+    """Address family and address of a host by name or number, IPv4 where it has both.
+
+    Raises:
+        OSError: there is no such host.
+    """
+    flags = socket.AI_PASSIVE if listens else 0
+    found = socket.getaddrinfo(host, port, type=socket.SocketKind(kind), flags=flags)
+    family, _, _, _, address = min(found, key=lambda each: each[0] != socket.AF_INET)
+    return family, cast(Address, address)
 
 
 def _may_come(error: OSError) -> bool:

@@ -39,8 +39,8 @@ from sitl_stub.physics.wind import advance_wind
 
 # how the flight is set up (SETUP_SIZE,)
 AHEAD_S, ESTIMATOR_S, FULL_NEWTON, ROTOR_MAX, DELAY_S, JITTER_S, GUST_NEWTON, GUST_CORNER = range(8)
-PLANT, HOLD_TICKS, TRACK_FROM, LEVEL = 8, 9, 10, 11
-SETUP_SIZE = 12
+PLANT, HOLD_TICKS, TRACK_FROM, LEVEL, THRUST_MIN, THRUST_MAX = 8, 9, 10, 11, 12, 13
+SETUP_SIZE = 14
 STUB, LAGGED = 0.0, 1.0
 LEAST_THRUST = 0.02  # as ThrustScale
 
@@ -130,7 +130,7 @@ def apply(row: Vector, setpoint: Vector) -> None:
 
 
 @compiled
-def fill_input(x: Record, state: Vector, reference: Vector, dt: float) -> None:
+def fill_input(x: Record, state: Vector, reference: Vector, dt: float, bounds: tuple[float, float]) -> None:
     """`pack_input` on arrays: state (13,) ENU/FLU, a row of the reference table, time step; the gate is RUN."""
     for i in range(3):
         x.position[i], x.velocity[i], x.body_rate[i] = state[i], state[3 + i], state[10 + i]
@@ -145,6 +145,7 @@ def fill_input(x: Record, state: Vector, reference: Vector, dt: float) -> None:
     x.reference_yaw_rate = reference[16]
     x.reference_yaw_acceleration = reference[17]
     x.dt, x.gate = dt, 0.0
+    x.thrust_min, x.thrust_max = bounds
 
 
 @compiled
@@ -162,13 +163,13 @@ def judge(
     setup: Vector,
     k: int,
     error: Vector,
-    euler: Vector,
+    attitude_error: Vector,
     rate: Vector,
     terms: Record,
     step: Vector,
     result: Vector,
 ) -> None:
-    """Add tick `k` to the sums: error (3,) ENU, true attitude and body rate (3,), change of the command (3,) per s."""
+    """Add tick `k` to the sums: error (3,) ENU, η_d − η and body rate (3,), change of the command (3,) per s."""
     if k < setup[TRACK_FROM]:
         if setup[HOLD_TICKS] / 2 < k < setup[HOLD_TICKS]:
             for i in range(3):
@@ -176,7 +177,7 @@ def judge(
         return
     for i in range(3):
         result[POSITION_SQUARES + i] += error[i] ** 2
-        result[ATTITUDE_SQUARES + i] += wrap_angle(terms.euler_desired[i] - euler[i]) ** 2
+        result[ATTITUDE_SQUARES + i] += attitude_error[i] ** 2
         result[SHAKE_SQUARES + i] += (rate[i] - terms.flat_euler_rate[i]) ** 2
         result[COMMAND_SQUARES + i] += step[i] ** 2
     if terms.bounds:
@@ -239,6 +240,7 @@ def fly_law(
     ends there: `result[ENDED_AT]` is the share of the flight that was flown.
     """
     level = int(setup[LEVEL])
+    bounds = (setup[THRUST_MIN], setup[THRUST_MAX])
     n = now.shape[0]
     x, terms = inputs[0], terms_of[0]
     here_memory, next_memory = memories[0:1], memories[1:2]
@@ -248,6 +250,8 @@ def fly_law(
     position_time, next_position = 0.0, 0
     last_time, last_due = 0.0, -1
     ended = n
+    desired = np.empty((n, 3))  # η_d as made at each tick, for AHEAD_S later
+    attitude_error, due_tick = np.zeros(3), 0
     for k in range(n):
         time = periods[k] * PERIOD_S
         dt = time - last_time if k > 0 else (periods[1] - periods[0]) * PERIOD_S
@@ -267,7 +271,7 @@ def fly_law(
         there = predict(
             model, ring, count, carried[0], here, time - setup[ESTIMATOR_S], time + setup[AHEAD_S]
         )
-        fill_input(x, there, ahead[k], dt)
+        fill_input(x, there, ahead[k], dt, bounds)
         terms.bounds = 0
         kernel(parameters, here_memory, inputs, next_memory, terms_of)
         here_memory, next_memory = next_memory, here_memory
@@ -291,11 +295,20 @@ def fly_law(
             command = command_of(terms, level, i)
             step[i] = (command - last_command[i]) / dt
             last_command[i] = command
-        judge(setup, k, error, euler, rate, terms, step, result)
+        for i in range(3):
+            desired[k, i] = terms.euler_desired[i]
+        while due_tick < k and periods[due_tick + 1] * PERIOD_S + setup[AHEAD_S] <= time + 1e-9:
+            due_tick += 1
+        since = time - setup[AHEAD_S] - periods[due_tick] * PERIOD_S
+        share = since / ((periods[due_tick + 1] - periods[due_tick]) * PERIOD_S) if due_tick < k else 0.0
+        for i in range(3):
+            change = wrap_angle(desired[min(due_tick + 1, k), i] - desired[due_tick, i])
+            attitude_error[i] = wrap_angle(desired[due_tick, i] + max(0.0, share) * change - euler[i])
+        judge(setup, k, error, attitude_error, rate, terms, step, result)
         if history.shape[0] > 0:
             row = history[k]
             row[0] = time
-            row[1:4], row[4:7] = error, terms.euler_desired - euler
+            row[1:4], row[4:7] = error, attitude_error
             row[7:10], row[10] = terms.euler_setpoint, terms.thrust
             row[11:14], row[14:17] = terms.torque, rate
             row[17:20] = now[k, 0:3] - here[0:3]

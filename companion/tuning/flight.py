@@ -13,7 +13,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from companion.autopilot.thrust import mixer_of
+from companion.autopilot.thrust import LEAST_THRUST, mixer_of
 from companion.config.errors import UserError
 from companion.config.gains import ControllerGains
 from companion.config.profile import LevelName, VehicleProfile
@@ -67,7 +67,7 @@ class Outcome:
     """What a flight came to, RMS over the tracking unless said."""
 
     position_rms_m: Vector  # (3,) true, along the trajectory's own axes
-    attitude_rms_rad: Vector  # (3,) η_d − η
+    attitude_rms_rad: Vector  # (3,) η_d − η, η_d of the time it is for
     shake_rms_rad_s: Vector  # (3,) body rate beyond the reference's own
     command_rms: Vector  # (3,) change of the command per second: rad/s, rad/s² or N·m/s
     hold_rms_m: Vector  # (3,) true position error in the second half of the hold
@@ -154,6 +154,13 @@ class TrialFlight:
         setup[loop.AHEAD_S] = response.dead_time(self._level)
         setup[loop.ESTIMATOR_S] = profile.estimator_delay_s
         setup[loop.FULL_NEWTON] = profile.mass_kg * profile.gravity_m_s2 / profile.hover_thrust
+        if self._level is ControlLevel.ACTUATOR:
+            full = profile.thrust_available_newton
+        else:
+            full = float(setup[loop.FULL_NEWTON])
+        limits = profile.limits
+        setup[loop.THRUST_MIN] = max(limits.thrust_min_ratio, LEAST_THRUST) * full
+        setup[loop.THRUST_MAX] = limits.thrust_max_ratio * full
         setup[loop.ROTOR_MAX] = profile.rotors.thrust_max_newton
         nominal = plant.delay_s + (response.dead_time(self._level) if plant.kind == "lagged" else 0.0)
         setup[loop.DELAY_S] = max(0.0, nominal + scenario.delay_s)

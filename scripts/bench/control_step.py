@@ -52,7 +52,7 @@ def measure(name: str, level: ControlLevel, steps: int) -> dict[str, float | str
     warm_up_s = time.perf_counter() - started
     state, reference = example()
     memory = law.step(law.initial_memory(), state, reference, 0.01, AdaptationGate.RUN).memory
-    inputs = pack_input(state, reference, 0.01, AdaptationGate.RUN).view(INPUT)
+    inputs = pack_input(state, reference, 0.01, AdaptationGate.RUN, law.thrust_bounds_newton).view(INPUT)
     following, terms = np.zeros(1, memory_dtype(law.hidden)), np.zeros(1, TERMS)
     arguments = (law.packed_parameters, memory.packed, inputs, following, terms)
     kernel = law.kernel

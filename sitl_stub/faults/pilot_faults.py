@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from sitl_stub.faults.fault import Effect, Fault, Site, choice, hold, number, switch
 from sitl_stub.firmware.ardupilot import modes as ardupilot_modes
+from sitl_stub.firmware.common.radio import APPEARANCES
 from sitl_stub.firmware.px4 import modes as px4_modes
 
 if TYPE_CHECKING:
@@ -98,3 +99,19 @@ class PilotKill(Fault):
 
         with site.setting("kill switch", 0.0, use, otherwise=1.0):
             yield from hold()
+
+
+@dataclass(frozen=True)
+class TransmitterLost(Fault):
+    """The pilot's transmitter is lost, which each receiver shows in its way; no RC failsafe of the autopilot acts."""
+
+    kind = "transmitter_lost"
+    appearance: str = choice("throttle_low", APPEARANCES, "what RC_CHANNELS or SYS_STATUS show")
+
+    def act(self, site: Site) -> Effect:
+        """Lose it."""
+        site.autopilot.radio.lost = self.appearance
+        try:
+            yield from hold()
+        finally:
+            site.autopilot.radio.lost = ""

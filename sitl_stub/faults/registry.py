@@ -36,6 +36,7 @@ KINDS: dict[str, type[Fault]] = {
         pilot_faults.PilotSticks,
         pilot_faults.PilotDisarm,
         pilot_faults.PilotKill,
+        pilot_faults.TransmitterLost,
         vehicle_faults.MotorFailure,
         vehicle_faults.BatteryCritical,
         vehicle_faults.PayloadDrop,

@@ -22,6 +22,7 @@ OUTCOMES = {
     "interrupted": 3,
     "aborted": 3,
     "handed back": 3,
+    "left flying": 1,
 }
 """What the last line begins with, and the exit code that goes with it (docs, `companion fly --help`)."""
 

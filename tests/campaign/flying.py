@@ -8,7 +8,7 @@ import shlex
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -67,6 +67,7 @@ class Flown:
     companion_ended_s: float = math.nan
     """Simulated time when the companion was gone."""
     armed_at_s: float = math.nan
+    struck_at_s: float = 0.0
 
 
 def arguments(planned: PlannedFlight, log: Path) -> list[str]:
@@ -94,8 +95,21 @@ def stub_options(planned: PlannedFlight, folder: Path) -> list[str]:
     return words
 
 
-def fly(planned: PlannedFlight, folder: Path, plant: Callable[[], None] | None = None) -> Flown:
-    """Fly in `folder` (made, and kept). `plant` is called in the companion's process first: a defect on purpose."""
+def fly(
+    planned: PlannedFlight,
+    folder: Path,
+    plant: Callable[[], None] | None = None,
+    strike: Callable[[Tape], None] | None = None,
+    extra: Sequence[str] = (),
+    heading_rad: float = 0.0,
+    has_pilot: bool = False,
+    again: bool = False,
+) -> Flown:
+    """Fly in `folder` (made, and kept). `plant` is called in the companion's process first: a defect on purpose.
+
+    `strike` is called there too (the hand-over matrix), `extra` are more arguments of `companion fly`, the vehicle stands
+    with its nose to `heading_rad` and has a radio where `has_pilot`; `again` starts a killed companion anew at once.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     # What a pilot has taken may hover for ever, and the command is right to log it for as long: that needs our own clock.
     has_end = not any(fault.kind in ("pilot_mode", "pilot_sticks") for fault in planned.faults)
@@ -103,7 +117,7 @@ def fly(planned: PlannedFlight, folder: Path, plant: Callable[[], None] | None =
         return _fly_as_command(planned, folder)
     began_s = time.monotonic()
     tape = Tape()
-    stub = _start_stub(planned, folder, tape)
+    stub = _start_stub(planned, folder, tape, heading_rad, has_pilot)
     log = folder / "flight.mcap"
     try:
         endpoint = _endpoint(stub, folder)
@@ -114,12 +128,23 @@ def fly(planned: PlannedFlight, folder: Path, plant: Callable[[], None] | None =
             watch_companion(tape, planned.kill_at_s, planned.interrupts_at_s)
             if plant is not None:
                 plant()
-            return main([*arguments(planned, log), "--endpoint", endpoint])
+            if strike is not None:
+                strike(tape)
+            return main([*arguments(planned, log), *extra, "--endpoint", endpoint])
+
+        def second_main() -> int:
+            from companion.cli.main import main
+
+            return main([*arguments(planned, folder / "again.mcap"), *extra, "--endpoint", endpoint])
 
         companion = fork(companion_main, folder / "companion.out", folder / "companion.err", folder)
         try:
             code = companion.wait(WALL_LIMIT_S)
             ended_s = tape.now_s
+            if again and code == -9:
+                second = fork(second_main, folder / "again.out", folder / "again.err", folder)
+                second.wait(WALL_LIMIT_S)
+                second.end(0.0)
         finally:
             companion.end(0.0)
             tape.companion_gone = True
@@ -140,10 +165,13 @@ def fly(planned: PlannedFlight, folder: Path, plant: Callable[[], None] | None =
         ticks=tape.ticks.copy(),
         companion_ended_s=ended_s,
         armed_at_s=tape.armed_at_s,
+        struck_at_s=tape.struck_at_s,
     )
 
 
-def _start_stub(planned: PlannedFlight, folder: Path, tape: Tape) -> Child:
+def _start_stub(
+    planned: PlannedFlight, folder: Path, tape: Tape, heading_rad: float, has_pilot: bool
+) -> Child:
     options = [
         "--firmware",
         planned.stub_firmware,
@@ -156,7 +184,7 @@ def _start_stub(planned: PlannedFlight, folder: Path, tape: Tape) -> Child:
     options += ["--die-with-parent", *stub_options(planned, folder)]
 
     def stub_main() -> int:
-        watch_stub(tape, planned.gone_at_s)
+        watch_stub(tape, planned.gone_at_s, heading_rad, has_pilot)
         from sitl_stub.cli import main
 
         return main(options)

@@ -26,8 +26,29 @@ LONGEST_FLIGHT_S = 150.0
 """Simulated s after arming at which a flight that has not ended is interrupted; nothing planned comes near."""
 
 
-def watch_stub(tape: Tape, gone_at_s: float | None) -> None:
-    """In the stub's process: let every autopilot that is served write the black box, until it is gone."""
+def obey(autopilot: Any, order: int) -> bool:
+    """What `Tape.order` asks of an autopilot's pilot; whether it has to be done again at the next step."""
+    if order == 1:
+        autopilot.pilot_mode("position")
+    elif order == 2:
+        autopilot.pilot_sticks(0.0, 0.5, 0.0, 0.5)
+        return True
+    elif order == 3:
+        autopilot.pilot_disarm(True)
+    elif order == 4:
+        autopilot.killed = True
+    elif order == 5:
+        autopilot.restart(1.0)
+    return False
+
+
+def watch_stub(
+    tape: Tape, gone_at_s: float | None, heading_rad: float = 0.0, has_pilot: bool = False
+) -> None:
+    """In the stub's process: let every autopilot that is served write the black box, until it is gone.
+
+    It stands with its nose to `heading_rad` (clockwise from north); `has_pilot`: with a radio that is on, sticks centred.
+    """
     import sitl_stub.server as served
 
     plain_gone = served.Server._gone
@@ -37,9 +58,14 @@ def watch_stub(tape: Tape, gone_at_s: float | None) -> None:
             step = autopilot.step
             due_us = before_us = gone_us = 0
             row = np.zeros(BOX_WIDTH)
+            _turn(autopilot, heading_rad)
+            if has_pilot:
+                autopilot.pilot_sticks(0.0, 0.0, 0.0, 0.5)
 
             def watched_step(*led: Any) -> int:
                 nonlocal due_us, before_us, gone_us
+                if tape.order and not obey(autopilot, tape.order):
+                    tape.order = 0
                 sent = step(*led)
                 if autopilot.time_us < before_us:
                     gone_us += before_us  # restarted: the box's time goes on
@@ -63,6 +89,13 @@ def watch_stub(tape: Tape, gone_at_s: float | None) -> None:
 
     served.BARRIER_PATIENCE_S = LOCKSTEP_PATIENCE_S
     served.Server = WatchedServer  # type: ignore[misc]
+
+
+def _turn(autopilot: Any, heading_rad: float) -> None:
+    from sitl_stub.physics import vehicle as body
+
+    half = 0.5 * heading_rad
+    autopilot.core.state[body.QUATERNION_WXYZ] = [math.cos(half), 0.0, 0.0, math.sin(half)]
 
 
 def _fill(row: Any, autopilot: Any) -> None:

@@ -45,6 +45,8 @@ FENCE_BLUR_M = {"mocap": 0.15, "perfect": 0.15, "gps": 1.0}
 """How far the truth may be from the estimate, by preset, so that the supervisor could not have seen it."""
 STICK_TRAVEL_US = 300.0
 """A stick moved this far counts for certain; the companion's own threshold is half."""
+LEVEL_S = 7.0
+"""How long setpoints keep a vehicle level while the autopilot does not take the modes that are asked for."""
 LANDS_WITHIN_S = 85.0
 LONGEST_S = 150.0
 QUIET_RMS_M = {"mocap": 0.25, "perfect": 0.25}
@@ -151,7 +153,12 @@ def _may_hang(e: Evidence) -> bool:
 
 
 def setpoints_after_takeover(e: Evidence) -> str:
-    """Once a frame has said that the mode is not ours, or disarmed, or that sticks moved: at most one setpoint more."""
+    """Once a frame has said that the mode is not ours, or disarmed: at most one setpoint more.
+
+    Sticks that moved do not change the mode by themselves everywhere: until it has changed setpoints keep the vehicle
+    level, since the last one of the law would stand for as long as the autopilot's timeout. So only level ones may
+    follow, and not for longer than LEVEL_S.
+    """
     if e.log_trouble or not e.wire.frames:
         return NOT_JUDGED
     moment, why = _takeover(e)
@@ -160,10 +167,36 @@ def setpoints_after_takeover(e: Evidence) -> str:
     after = [
         frame for frame in e.wire.frames[moment + 1 :] if frame.outgoing and frame.message_id in SETPOINTS
     ]
+    if why == "moved sticks":
+        seen_s = e.wire.frames[moment].time_s
+        wild = next((f for f in after[1:] if not _is_level(f) or f.time_s > seen_s + LEVEL_S), None)
+        if wild is not None:
+            return f"a setpoint that is not level at {wild.time_s:.2f} s, after {why} at {seen_s:.2f} s"
+        gone = next(
+            (i for i, f in enumerate(e.wire.frames) if i > moment and _is_left(e.planned.firmware, f)), None
+        )
+        if gone is None:
+            return KEPT
+        after = [f for f in e.wire.frames[gone + 1 :] if f.outgoing and f.message_id in SETPOINTS]
     if len(after) > 1:
         seen_s = e.wire.frames[moment].time_s
         return f"{len(after)} setpoints after {why} at {seen_s:.2f} s, the last at {after[-1].time_s:.2f} s"
     return KEPT
+
+
+def _is_left(firmware: str, frame: Frame) -> bool:
+    if frame.outgoing:
+        return False
+    mode = mode_of(frame)
+    return (mode is not None and not is_ours(firmware, mode)) or armed_of(frame) is False
+
+
+def _is_level(frame: Frame) -> bool:
+    """Whether a setpoint asks for level flight; one of rates or torques does not tell."""
+    if frame.message_id != SET_ATTITUDE_TARGET or frame.payload[38:39] != b"\x07":
+        return True
+    _, x, y, _ = setpoint_numbers(frame)[:4]
+    return 1.0 - 2.0 * (x * x + y * y) > math.cos(math.radians(1.0))
 
 
 def never_taken_back(e: Evidence) -> str:

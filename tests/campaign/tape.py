@@ -70,6 +70,24 @@ class Tape:
         self._head[3] = float(gone)
 
     @property
+    def struck_at_s(self) -> float:
+        """When the end of a cell of the hand-over matrix happened, s of simulated time; 0 before."""
+        return float(self._head[4])
+
+    @struck_at_s.setter
+    def struck_at_s(self, time_s: float) -> None:
+        self._head[4] = time_s
+
+    @property
+    def order(self) -> int:
+        """What the stub's process is asked to do next (`instruments.obey`); 0 nothing."""
+        return int(self._head[5])
+
+    @order.setter
+    def order(self, number: int) -> None:
+        self._head[5] = number
+
+    @property
     def armed_at_s(self) -> float:
         """When the vehicle was first armed, s of simulated time; NaN before."""
         return float(self._head[2])

@@ -58,6 +58,9 @@ def companion_link() -> Callable[[bytes], None]:
         def send(self, data: bytes) -> bool:
             return True
 
+        sender = None
+        strangers = ()
+
         def believe_sender(self) -> None:
             pass
 

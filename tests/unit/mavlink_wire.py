@@ -36,11 +36,16 @@ class MemoryTransport:
         self.sent = []
         self.takes = True
         self.notices = deque()
+        self.sender = None
+        self.strangers = deque()
 
     def believe_sender(self):
         pass
 
     def greet_sender(self):
+        pass
+
+    def look_out(self, wanted):
         pass
 
     def wait(self, timeout_s):

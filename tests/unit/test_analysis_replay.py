@@ -48,7 +48,7 @@ def fly(path, settings, leave_out=()):
             reference = Reference(*(rng.normal(0, 0.1, (5, 3))), 0.1, 0.0, 0.0)
             if step == HAND_OVER_AT:
                 memory = law.take_over(memory, state, reference, 15.0, level)
-            inputs = pack_input(state, reference, 0.01, AdaptationGate.RUN)
+            inputs = pack_input(state, reference, 0.01, AdaptationGate.RUN, law.thrust_bounds_newton)
             result = law.step_packed(memory, inputs)
             records = {"input": inputs, "memory": memory.to_array(), "terms": result.terms.values}
             for name, values in records.items():

@@ -27,7 +27,7 @@ PX4_GOOD = {
     "EKF2_HGT_REF": 3.0,
     "EKF2_RNG_CTRL": 0.0,
 }
-ARDUPILOT_GOOD = {"GUID_OPTIONS": 8.0, "ATC_ANGLE_BOOST": 0.0, "GUID_TIMEOUT": 3.0, "MOT_THST_HOVER": 0.37}
+ARDUPILOT_GOOD = {"GUID_OPTIONS": 8.0, "ATC_ANGLE_BOOST": 0.0, "GUID_TIMEOUT": 0.5, "MOT_THST_HOVER": 0.37}
 
 
 def findings(adapter, parameters, level=ControlLevel.ATTITUDE, version=NOW):
@@ -148,7 +148,7 @@ def test_a_vehicle_as_it_should_be(adapter, good, level):
 )
 def test_rates_of_a_dead_companion_are_not_held_for_long(adapter, good, name):
     """Killed while it turns, at a vehicle that follows for 3 s: seen by the campaign, tilt 133°."""
-    as_shipped = findings(adapter, good, ControlLevel.BODY_RATE)[name]
+    as_shipped = findings(adapter, {**good, name: 3.0}, ControlLevel.BODY_RATE)[name]
     assert (as_shipped.verdict, as_shipped.fix) == (Verdict.WARNING, (name, 0.5))
     assert findings(adapter, good, ControlLevel.ATTITUDE)[name].verdict is Verdict.OK
 
@@ -174,8 +174,9 @@ def test_rates_of_a_dead_companion_are_not_held_for_long(adapter, good, name):
         (ARDUPILOT, ARDUPILOT_GOOD, "GUID_OPTIONS", 24.0, Verdict.OK, None),
         (ARDUPILOT, ARDUPILOT_GOOD, "ATC_ANGLE_BOOST", None, Verdict.REFUSAL, None),
         (ARDUPILOT, ARDUPILOT_GOOD, "ATC_ANGLE_BOOST", 1.0, Verdict.REFUSAL, 0.0),
-        (ARDUPILOT, ARDUPILOT_GOOD, "GUID_TIMEOUT", 5.0, Verdict.WARNING, 1.0),
-        (ARDUPILOT, ARDUPILOT_GOOD, "GUID_TIMEOUT", 3.0, Verdict.OK, None),
+        (ARDUPILOT, ARDUPILOT_GOOD, "GUID_TIMEOUT", 5.0, Verdict.WARNING, 0.5),
+        (ARDUPILOT, ARDUPILOT_GOOD, "GUID_TIMEOUT", 3.0, Verdict.WARNING, 0.5),
+        (ARDUPILOT, ARDUPILOT_GOOD, "GUID_TIMEOUT", 0.5, Verdict.OK, None),
         (ARDUPILOT, ARDUPILOT_GOOD, "MOT_THST_HOVER", 0.05, Verdict.REFUSAL, None),
         (ARDUPILOT, ARDUPILOT_GOOD, "MOT_THST_HOVER", 0.95, Verdict.REFUSAL, None),
     ],

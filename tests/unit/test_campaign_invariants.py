@@ -67,14 +67,32 @@ def test_one_setpoint_after_a_takeover_is_none_too_many(late: int) -> None:
     [
         [heartbeat(10.0, LAND, True)],
         [heartbeat(10.0, OFFBOARD, False)],
-        [sticks(9.9, 1500), *[sticks(10.0, 1900)] * 2],
     ],
-    ids=["mode", "disarmed", "sticks"],
+    ids=["mode", "disarmed"],
 )
 def test_setpoints_after_a_takeover_are_noticed(sign: list) -> None:
     frames = flight_frames()
     frames[100:100] = sign
     assert "setpoints after" in said("setpoints after takeover", good(frames=frames))
+
+
+MOVED = [sticks(9.9, 1500), *[sticks(10.0, 1900)] * 2]
+
+
+@pytest.mark.parametrize(
+    ("later", "word"),
+    [
+        ([*(setpoint(10.1 + 0.1 * i) for i in range(5)), heartbeat(10.7, LAND, True)], ""),
+        ([setpoint(10.1), setpoint(10.2, 0.4, (0.996, 0.087, 0, 0)), heartbeat(10.7, LAND, True)], "10.20 s"),
+        ([setpoint(10.1), setpoint(17.1)], "17.10 s"),
+        ([heartbeat(10.1, LAND, True), setpoint(10.2), setpoint(10.3)], "setpoints after"),
+    ],
+    ids=["level until the mode shows", "tilted by 10°", "for longer than 7 s", "after the mode has shown"],
+)
+def test_after_moved_sticks_only_level_setpoints_may_follow(later: list, word: str) -> None:
+    frames = [*flight_frames()[:100], *MOVED, *later]
+    kept = said("setpoints after takeover", good(frames=frames))
+    assert word in kept if word else kept == KEPT
 
 
 def test_a_single_glitch_of_a_stick_is_no_takeover() -> None:

@@ -30,6 +30,20 @@ def test_condition(alpha, kappa, bound, residual, holds, strict):
     assert (found.holds, found.strict) == (holds, strict)
 
 
+@pytest.mark.parametrize(
+    ("alpha", "width", "layer"),
+    [
+        (1.0, 0.0, 0.0),  # the exact sign, condition met: to zero
+        (0.5, 0.0, 0.4),  # the exact sign, 0.4 short of 0.9 at K_U = 1
+        (1.0, 0.1, 0.2433),  # r² + 0.1 r = 0.8355 · 0.1
+        (0.5, 0.1, 0.4860),  # r² − 0.4 r = 0.8355 · 0.05
+    ],
+)
+def test_the_layer_that_is_proven(alpha, width, layer):
+    gains = loop(alpha=alpha, kappa=0.1, weight_bound=4.0, residual_bound=0.5, boundary_width=width)
+    assert condition(gains, 1).layer == pytest.approx(layer, abs=1e-4)
+
+
 def test_warning_names_both_sides():
     level = ControlLevel.ATTITUDE
     gains = gains_of("dtlannc", level, alpha=0.25, kappa=0.5, weight_bound=4.0, residual_bound=0.1)

@@ -41,9 +41,13 @@ def test_compiled_and_uncompiled_agree(name, level):
     fast, slow = start.packed, start.packed
     for k in range(10):
         gate = AdaptationGate.FREEZE if k == 5 else AdaptationGate.RUN
-        inputs = pack_input(random_state(rng), random_reference(rng), rng.uniform(0.002, 0.05), gate).view(
-            INPUT
-        )
+        inputs = pack_input(
+            random_state(rng),
+            random_reference(rng),
+            rng.uniform(0.002, 0.05),
+            gate,
+            law.thrust_bounds_newton,
+        ).view(INPUT)
         fast, fast_terms = run(law.kernel, law, fast, inputs)
         slow, slow_terms = run(twin, law, slow, inputs)
         assert fast_terms["bounds"] == slow_terms["bounds"]
@@ -70,7 +74,7 @@ def test_the_twin_is_python_all_the_way_down():
 def test_inputs_stand_where_the_layout_says():
     rng = np.random.default_rng(0)
     state, ref = random_state(rng), random_reference(rng)
-    record = pack_input(state, ref, 0.02, AdaptationGate.GROUND).view(INPUT)[0]
+    record = pack_input(state, ref, 0.02, AdaptationGate.GROUND, (2.0, 40.0)).view(INPUT)[0]
     for field, value in {
         "position": state.position_enu,
         "velocity": state.velocity_enu,

@@ -17,8 +17,9 @@ from control_cases import (
 )
 from control_plant import GRAVITY, at_rest, matrix_of, quaternion_of, rotation_zyx
 
+from companion.autopilot.thrust import ThrustScale
 from companion.control.bounds import ATTITUDE_SATURATES, POSITION_SATURATES, Bound
-from companion.control.law import StepRefused
+from companion.control.law import StepRefused, pack_input
 from companion.control.packing import Memory
 from companion.control.structs import AdaptationGate, ControlLevel, VehicleState
 
@@ -37,6 +38,11 @@ def phi_of(euler):
 def euler_of(q):
     R = matrix_of(q)
     return np.array([math.atan2(R[2, 1], R[2, 2]), -math.asin(R[2, 0]), math.atan2(R[1, 0], R[0, 0])])
+
+
+def with_relative_yaw(euler, reference):
+    """What stands for η in both networks' inputs; control_laws.md, section 8."""
+    return np.array([euler[0], euler[1], math.sin(euler[2] - reference.yaw_rad)])
 
 
 def smooth(u, width):
@@ -82,10 +88,12 @@ def test_force_is_the_laws_equation(name, seed):
     e_dot = ref.velocity_enu - state.velocity_enu
     U_tilde = ref.velocity_enu + np.array(g.K_e) * e - state.velocity_enu
     U_dot = ref.acceleration_enu + np.array(g.K_e) * e_dot
-    gamma = np.concatenate([[1], state.velocity_enu, euler_of(state.quaternion_wxyz), U_dot])
+    turn = rotation_zyx(0.0, 0.0, ref.yaw_rad + memory.values.hand_over_yaw - math.pi / 2)
+    angles = with_relative_yaw(euler_of(state.quaternion_wxyz), ref)
+    gamma = np.concatenate([[1], turn.T @ state.velocity_enu, angles, turn.T @ U_dot])
     sigma = np.tanh(law.parameters.position_V.T @ gamma)
     up = np.array([0, 0, GRAVITY])
-    network = memory.position_weights.T @ sigma
+    network = turn @ memory.position_weights.T @ sigma
     integral = np.array(g.K_i) * memory.position_integral
     sign = g.alpha * smooth(U_tilde, g.boundary_width)
     f = {
@@ -118,7 +126,9 @@ def test_torque_is_the_laws_equation(name, seed):
     e[2] = (e[2] + math.pi) % (2 * math.pi) - math.pi
     U_tilde = terms.euler_rate_desired + np.array(g.K_e) * e - rate
     U_dot = terms.euler_acceleration_desired + np.array(g.K_e) * (terms.euler_rate_desired - rate)
-    sigma = np.tanh(law.parameters.attitude_V.T @ np.concatenate([[1], euler, rate, U_dot]))
+    sigma = np.tanh(
+        law.parameters.attitude_V.T @ np.concatenate([[1], with_relative_yaw(euler, ref), rate, U_dot])
+    )
     network = memory.attitude_weights.T @ sigma
     integral = np.array(g.K_i) * memory.attitude_integral
     sign = g.alpha * smooth(U_tilde, g.boundary_width)
@@ -177,7 +187,12 @@ def test_integral_and_weights_after_one_step_by_hand():
     np.testing.assert_allclose(result.memory.position_integral, [0.003, 0, 0], atol=1e-15)
     sigma = np.tanh(law.parameters.position_V[0])  # every feature but the bias is zero, U̇ too
     leak = 1 + 0.02 * 2.0 * 0.4 * 0.15
-    expected = np.outer(0.02 * 2.0 * sigma, [0.15, 0, 0]) / leak
+    along_the_nose = [
+        0.0,
+        0.15,
+        0.0,
+    ]  # the network's y, as ENU's is to a nose that points north; ours points east
+    expected = np.outer(0.02 * 2.0 * sigma, along_the_nose) / leak
     np.testing.assert_allclose(result.memory.position_weights, expected, rtol=1e-12, atol=1e-17)
 
 
@@ -307,3 +322,30 @@ def test_a_step_changes_nothing_and_repeats_to_the_bit(level):
     assert memory.to_array().tobytes() == before
     assert first.terms.values.tobytes() == again.terms.values.tobytes()
     assert first.memory.values.tobytes() == again.memory.values.tobytes()
+
+
+def test_thrust_is_bounded_by_the_scale_in_force_and_the_integral_rests():
+    """A vehicle that hovers at 0.6 of full thrust gives 29.3 N at most, 26.3 N of them within the profile's 0.9.
+
+    2 m below the reference the law wants more for 5 s. By the profile's 43.2 N alone it would not know that anything
+    was cut, and would wind its integral up.
+    """
+    scale = ThrustScale(0.6, QBALL2.mass_kg, 12.0, np.ones((4, 4)), 0.05, 0.9)
+    assert scale.bounds_newton == pytest.approx((1.463, 26.340), abs=1e-3)
+    law = law_of(gains=gains_of("dtlannc", ControlLevel.ATTITUDE, K_e=(4, 4, 4), K_U=(3, 3, 4)))
+
+    def five_seconds(bounds):
+        memory = law.initial_memory()
+        for _ in range(500):
+            result = law.step_packed(memory, pack_input(HOVER, at_rest((0, 0, 1.0)), 0.01, RUN, bounds))
+            memory = result.memory
+        return result
+
+    kept = five_seconds(scale.bounds_newton)
+    assert kept.terms.values.thrust_wanted > 26.34
+    assert Bound.THRUST_MAX in Bound(kept.terms.flags)
+    assert kept.setpoint.thrust_newton == pytest.approx(26.340, abs=1e-3)
+    assert scale.normalised(kept.setpoint.thrust_newton) == pytest.approx(0.9)
+    assert not kept.memory.position_weights.any() and kept.memory.position_integral[2] == 0.0
+    wound = five_seconds(law.thrust_bounds_newton)  # as it was: the bounds of another thrust scale
+    assert 8.0 * wound.memory.position_integral[2] > 7.0 and wound.setpoint.thrust_newton > scale.full_newton

@@ -40,7 +40,7 @@ def test_output_grows_in_the_direction_of_the_error():
     """With the report's printed sign of (15) the output would run away from Ũ (control_laws.md, section 3)."""
     W, sigma, U = np.zeros((4, 3)), np.array([0.5, -0.3, 0.9, -0.1]), np.array([0.2, -0.4, 0.6])
     out, _ = adapt(W, sigma, U)
-    output = np.array([network.output_layer(out, sigma, i) for i in range(3)])
+    output = network.output_layer(out, sigma)
     assert output @ U > 0
 
 

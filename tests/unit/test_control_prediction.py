@@ -15,7 +15,9 @@ LEVELS = list(ControlLevel)
 
 def profile(dead_time, estimator=0.0):
     response = QBALL2.response().model_copy(
-        update={"dead_time_s": dead_time, "rate_dead_time_s": dead_time, "actuator_dead_time_s": dead_time}
+        update=dict.fromkeys(
+            ("dead_time_s", "rate_dead_time_s", "actuator_dead_time_s", "thrust_dead_time_s"), dead_time
+        )
     )
     return QBALL2.model_copy(
         update={"responses": {"px4": response}, "estimator_delay_s": estimator, "mass_ratio": 1.0}
@@ -167,3 +169,30 @@ def test_only_the_newest_setpoints_are_remembered_however_many_there_were():
     ours, theirs = long.predict(state), short.predict(state)
     assert ours.position_enu.tolist() == theirs.position_enu.tolist()
     assert ours.quaternion_wxyz.tolist() == theirs.quaternion_wxyz.tolist()
+
+
+@pytest.mark.parametrize("thrust_dead", [0.0, 0.01, 0.07, 0.1])
+def test_thrust_acts_after_a_dead_time_of_its_own(thrust_dead):
+    """Hover, then 1.3 times its thrust from t = 0 on: v = 0.3 g (τ − (1 − e^(−15 τ)) / 15), τ since it acts, by hand.
+
+    The attitude's dead time is 0.07 s: with it for the thrust too, 10 ms become 70 and vz is 0.1 m/s behind.
+    """
+    responses = {"px4": QBALL2.response().model_copy(update={"thrust_dead_time_s": thrust_dead})}
+    predictor = Predictor(
+        QBALL2.model_copy(update={"responses": responses, "estimator_delay_s": 0.0}), ControlLevel.ATTITUDE
+    )
+    level, still = np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
+    weight = QBALL2.mass_kg * GRAVITY
+
+    def speed_up(time_s):
+        tau = max(0.0, time_s - thrust_dead)
+        return 0.3 * GRAVITY * (tau - (1.0 - math.exp(-15.0 * tau)) / 15.0)
+
+    for k in range(-50, 15):
+        thrust = 1.3 * weight if k >= 0 else weight
+        predictor.sent(0.01 * k, Setpoint(ControlLevel.ATTITUDE, thrust, level, still, still))
+    predictor._mass = QBALL2.mass_kg
+    now = VehicleState(0.15, still, np.array([0.0, 0.0, speed_up(0.15)]), level, still)
+    ahead = predictor.predict(now)
+    assert ahead.time_s == pytest.approx(0.22)
+    assert ahead.velocity_enu[2] == pytest.approx(speed_up(0.22), abs=0.003)

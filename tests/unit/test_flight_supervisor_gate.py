@@ -143,39 +143,39 @@ def test_a_hold_comes_to_rest_within_its_limits_from_any_point_of_the_lemniscate
 
 def sticks(*values, count=8):
     names = ("chan1_raw", "chan2_raw", "chan3_raw", "chan4_raw")
-    return SimpleNamespace(chancount=count, **dict(zip(names, values, strict=True)))
+    return SimpleNamespace(chancount=count, rssi=255, **dict(zip(names, values, strict=True)))
 
 
 def test_sticks_that_moved_before_we_flew_mean_nothing():
     pilot = Pilot(0.15)
-    pilot.take(sticks(1500, 1500, 1100, 1500))
-    pilot.take(sticks(1900, 1100, 1900, 1500))
+    pilot.take(sticks(1500, 1500, 1100, 1500), 0.0)
+    pilot.take(sticks(1900, 1100, 1900, 1500), 0.0)
     pilot.sticks_are_at_rest()
-    pilot.take(sticks(1910, 1090, 1890, 1500))
-    pilot.take(sticks(1910, 1090, 1890, 1500))
+    pilot.take(sticks(1910, 1090, 1890, 1500), 0.0)
+    pilot.take(sticks(1910, 1090, 1890, 1500), 0.0)
     assert pilot.moved_sticks() == ""
 
 
 def test_a_stick_counts_from_its_second_message_on():
     pilot = Pilot(0.15)
-    pilot.take(sticks(1500, 1500, 1500, 1500))
+    pilot.take(sticks(1500, 1500, 1500, 1500), 0.0)
     pilot.sticks_are_at_rest()
-    pilot.take(sticks(1500, 1700, 1500, 1500))
+    pilot.take(sticks(1500, 1700, 1500, 1500), 0.0)
     assert pilot.moved_sticks() == ""
-    pilot.take(sticks(1500, 1500, 1500, 1500))
-    pilot.take(sticks(1500, 1300, 1500, 1500))
-    pilot.take(sticks(1500, 1300, 1500, 1500))
+    pilot.take(sticks(1500, 1500, 1500, 1500), 0.0)
+    pilot.take(sticks(1500, 1300, 1500, 1500), 0.0)
+    pilot.take(sticks(1500, 1300, 1500, 1500), 0.0)
     assert pilot.moved_sticks() == "pitch by -20%"
 
 
 def test_a_receiver_without_signal_is_no_pilot():
     pilot = Pilot(0.15)
-    pilot.take(sticks(1500, 1500, 1500, 1500))
+    pilot.take(sticks(1500, 1500, 1500, 1500), 0.0)
     pilot.sticks_are_at_rest()
     for _ in range(3):
-        pilot.take(sticks(0, 0, 0, 0))
-        pilot.take(sticks(65535, 65535, 65535, 65535))
-        pilot.take(sticks(1900, 1900, 1900, 1900, count=0))
+        pilot.take(sticks(0, 0, 0, 0), 0.0)
+        pilot.take(sticks(65535, 65535, 65535, 65535), 0.0)
+        pilot.take(sticks(1900, 1900, 1900, 1900, count=0), 0.0)
     assert pilot.moved_sticks() == ""
 
 

@@ -120,6 +120,17 @@ def test_a_clock_that_drifts_is_followed(poses: OutsidePoses, clock: Clock) -> N
         assert abs(message.time_usec * 1e-6 - clock.s) < 0.001
 
 
+@pytest.mark.parametrize("drift", [0.01, -0.01])
+def test_a_clock_that_drifts_by_a_percent_is_followed(
+    poses: OutsidePoses, clock: Clock, drift: float
+) -> None:
+    for k in range(1000):
+        clock.s = 1000.0 + 0.02 * k + 0.001 + (0.004 if k % 3 else 0.0)
+        message = poses.take(datagram((1.0 + drift) * 0.02 * k))
+        if message is not None:
+            assert abs(message.time_usec * 1e-6 - (1000.001 + 0.02 * k)) < 0.005
+
+
 @pytest.mark.parametrize("source_hz", [50, 60, 100, 120, 200])
 def test_the_rate_is_limited_to_what_was_asked_for_and_not_lower(
     poses: OutsidePoses, clock: Clock, source_hz: int

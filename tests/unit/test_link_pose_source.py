@@ -27,6 +27,8 @@ class Wire:
     def wait(self, seconds: float) -> bool:
         return bool(self.waiting)
 
+    sender = None
+
     def receive(self) -> list[bytes]:
         ready, self.waiting = self.waiting, []
         return ready

@@ -36,6 +36,10 @@ TCP, TCP_IN, SERIAL = EndpointKind.TCP_CLIENT, EndpointKind.TCP_SERVER, Endpoint
         ("serial_flowcontrol:///dev/ttyS1:57600", SERIAL, "/dev/ttyS1", 57600),
         # as people type
         ("  UDPIN:0.0.0.0:14540 ", UDP_IN, "0.0.0.0", 14540),
+        ("udpin:[::]:14540", UDP_IN, "::", 14540),
+        ("tcp://[::1]:5760", TCP, "::1", 5760),
+        ("udpbcast:192.168.1.255:14550", EndpointKind.UDP_BROADCAST, "192.168.1.255", 14550),
+        ("udpcast:192.168.1.255:14550", EndpointKind.UDP_BROADCAST, "192.168.1.255", 14550),
         ("udp:14540", UDP_IN, "0.0.0.0", 14540),
         ("COM7,115200", SERIAL, "COM7", 115200),
         ("/dev/serial/by-path/pci-0000:00:14.0-usb-0:1:1.0,57600", SERIAL, None, 57600),
@@ -55,6 +59,9 @@ def test_spellings(text, kind, host, number):
         ("http://127.0.0.1:80", "not an address I know"),
         ("udpin:0.0.0.0", "names no port; use for example udpin:0.0.0.0:14540"),
         ("udpin:0.0.0.0:", "port '' is not a number"),
+        ("udpout:a..b:14550", "is no host name"),
+        (f"tcp:{'a' * 64}:5760", "is no host name"),
+        ("udp://:14540@127.0.0.1:14557", "udpin:0.0.0.0:14540 to listen, or udpout:127.0.0.1:14557"),
         ("udpin:0.0.0.0:0", "port '0' is not a number from 1 to 65535"),
         ("udpin:0.0.0.0:65536", "port '65536' is not a number from 1 to 65535"),
         ("udpin:0.0.0.0:-1", "port '-1'"),
@@ -85,7 +92,7 @@ def test_any_text_is_an_endpoint_or_a_user_error(text):
 
 @given(
     st.sampled_from([UDP_IN, UDP_OUT, TCP, TCP_IN]),
-    st.from_regex(r"[a-z0-9][a-z0-9.]{0,20}", fullmatch=True),
+    st.from_regex(r"[a-z0-9]{1,20}(\.[a-z0-9]{1,20})?|::1", fullmatch=True),
     st.integers(1, 65535),
 )
 def test_both_spellings_come_back(kind, host, port):

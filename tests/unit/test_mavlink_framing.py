@@ -158,3 +158,24 @@ def test_several_frames_in_a_datagram_and_an_unknown_one_at_its_end():
 def test_any_datagram_is_survived(noise):
     frames, _ = datagrams(noise, FRAMES[0])
     assert frames[-1] == FRAMES[0]
+
+
+def test_a_serial_bridges_packets_lose_no_frame():
+    """Packets of any size, as a serial-to-UDP bridge fills them; frames of another sender's packets are not mixed in."""
+    known = [frame for frame in traffic(200) if frame[7:10] != unknown_frame(0)[7:10]]
+    data = b"".join(known)
+    for size in (7, 64, 256):
+        framer, frames = Framer(mav.mavlink_map, stream=False), []
+        for at in range(0, len(data), size):
+            framer.feed(data[at : at + size], "bridge")
+            frames += drain(framer)
+        assert frames == known, size
+        assert framer.stray_bytes == 0
+
+
+def test_another_senders_datagram_does_not_end_a_frame():
+    framer = Framer(mav.mavlink_map, stream=False)
+    framer.feed(FRAMES[1][:10], "one")
+    assert drain(framer) == []
+    framer.feed(FRAMES[1][10:] + FRAMES[0], "two")
+    assert drain(framer) == [FRAMES[0]]

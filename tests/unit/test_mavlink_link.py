@@ -19,6 +19,7 @@ from mavlink_wire import (
 )
 
 from companion.autopilot.adapter import VehicleStatus
+from companion.config.errors import UserError
 from companion.flight.vehicle import Vehicle
 from companion.mavlink.framing import is_signed
 from companion.mavlink.link import Link
@@ -90,7 +91,7 @@ def test_locks_on_to_the_first_and_ignores_everybody_else(wire):
     ]
     assert link.heartbeat.custom_mode == 0
     assert link.autopilot_time_s == 0.04
-    assert link.counters["other senders"] == 3
+    assert (link.counters["other autopilots"], link.counters["other senders"]) == (2, 1)
     assert link.counters["lost"] == 0
 
 
@@ -200,7 +201,7 @@ def arrivals(wire, sequences):
         ([10, 12, 11, 13, 14], 1),  # 11 came late: it was missed once, and nothing after it
         ([10, 11, 11, 12], 0),  # twice
         ([200, 0, 1, 2], 55),  # 201 to 255
-        ([100, 0, 1, 2], 0),  # begins again: not 155 lost ones
+        ([100, 0, 1, 2], 155),  # 101 to 255: more than half a turn
     ],
 )
 def test_loss_is_counted_by_sequence_numbers(wire, sequences, lost):
@@ -305,13 +306,57 @@ def test_timesync_answer_becomes_the_offset(wire):
     transport, link, clock, autopilot = wire
     transport.waiting.append(autopilot.frame(heartbeat()))
     all_messages(link)
-    asked_ns = clock.ns
+    transport.waiting.append(autopilot.frame(attitude(1000)))
+    all_messages(link)
+    link.keep_alive()
+    [question] = [m for m in decoded(transport.sent) if m.get_type() == "TIMESYNC"]
+    asked_ns = question.ts1
     clock.advance(0.004)
     autopilot_ns = asked_ns + 2_000_000 + 50_000_000_000  # half-way, 50 s ahead of us
     transport.waiting.append(autopilot.frame(mav.MAVLink_timesync_message(autopilot_ns, asked_ns)))
     assert all_messages(link) == []
     assert link.timesync.offset_s == pytest.approx(50.0, abs=1e-9)
     assert link.timesync.round_trip_s == pytest.approx(0.004)
+    # The same answer once more, later, and one to another companion's question: neither is ours.
+    clock.advance(0.4)
+    transport.waiting.append(autopilot.frame(mav.MAVLink_timesync_message(autopilot_ns, asked_ns)))
+    transport.waiting.append(autopilot.frame(mav.MAVLink_timesync_message(autopilot_ns, asked_ns + 1)))
+    assert all_messages(link) == []
+    assert link.timesync.samples == 1
+    assert link.counters["time answers to others"] == 2
+
+
+@pytest.mark.parametrize(("count", "lost"), [(127, 127), (128, 128), (200, 200), (255, 255)])
+def test_a_gap_of_half_a_turn_and_more_is_counted(wire, count, lost):
+    """Of a stream of frames that differ: one that is as another of the same number was is a repeated one."""
+    transport, link, _, autopilot = wire
+    transport.waiting.append(autopilot.frame(heartbeat()))
+    for index in range(600):
+        if index == 300:
+            autopilot.skip(count)
+        transport.waiting.append(autopilot.frame(attitude(index)))
+    all_messages(link)
+    assert link.counters["lost"] == lost
+
+
+def test_two_autopilots_are_remembered_by_name_and_never_obeyed(wire):
+    transport, link, _, autopilot = wire
+    transport.waiting.append(autopilot.frame(heartbeat()))
+    transport.waiting.append(Sender(2).frame(heartbeat(mav.MAV_AUTOPILOT_ARDUPILOTMEGA)))
+    transport.waiting.append(Sender(3, 154).frame(heartbeat(kind=mav.MAV_TYPE_GIMBAL)))
+    transport.waiting.append(Sender(4).frame(GROUND_STATION))
+    assert kinds(all_messages(link)) == ["HEARTBEAT"]
+    assert link.target_system == 1
+    assert link.other_autopilots == {2: "ArduPilot, system 2"}
+
+
+def test_the_system_that_is_wanted_is_waited_for():
+    transport = MemoryTransport()
+    link = Link(transport, system=2)
+    transport.waiting.append(Sender(1).frame(heartbeat()))
+    transport.waiting.append(Sender(2).frame(heartbeat()))
+    assert [m.get_srcSystem() for m in all_messages(link)] == [2]
+    assert link.other_autopilots == {1: "PX4, system 1"}
 
 
 def test_heartbeat_at_1_hz_of_the_autopilots_time(wire):
@@ -483,3 +528,24 @@ def test_the_round_trip_is_known_in_the_autopilots_time(wire):
     all_messages(link)
     assert link.timesync.round_trip_s == pytest.approx(0.001)
     assert link.timesync.autopilot_trip_s == pytest.approx(0.15)
+
+
+@pytest.mark.parametrize("system", [None, 2])
+def test_two_autopilots_are_refused_unless_one_is_named(system):
+    transport, notices = MemoryTransport(), []
+    vehicle = Vehicle(Link(transport, system=system), 5.0)
+    vehicle.on_notice = notices.append
+    two = Sender(2)
+    for sender in (Sender(1), two, Sender(255, 190)):
+        transport.waiting.append(sender.frame(heartbeat()))
+    version = mav.MAVLink_autopilot_version_message(*(0,) * 5, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0)
+    transport.waiting.append(two.frame(version))
+    if system is None:
+        with pytest.raises(
+            UserError, match=r"2 autopilots .*PX4, system 1; PX4, system 2.*--system 1 or --system 2"
+        ):
+            vehicle.connect(5.0)
+    else:
+        vehicle.connect(5.0)
+        assert vehicle.link.target_system == 2
+        assert notices == ["another autopilot is heard on this link (PX4, system 1); we fly PX4, system 2"]

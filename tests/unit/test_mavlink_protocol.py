@@ -94,12 +94,34 @@ def test_only_the_answer_to_the_last_command_counts(spoken):
     assert client.result is None
 
 
+def test_an_answer_to_somebody_else_is_none_to_us(spoken):
+    client = CommandClient(spoken[0])
+    client.send(Command(511))
+    for system, component in ((255, 190), (3, 192), (255, 191)):
+        client.take(mav.MAVLink_command_ack_message(511, mav.MAV_RESULT_DENIED, 0, 0, system, component))
+    assert client.result is None
+    client.take(mav.MAVLink_command_ack_message(511, mav.MAV_RESULT_ACCEPTED, 0, 0, 3, 191))
+    assert client.result == mav.MAV_RESULT_ACCEPTED
+
+
+def test_a_late_refusal_is_not_taken_for_that_of_the_next_command(spoken):
+    client = CommandClient(spoken[0])
+    client.send(Command(400, (1.0,)))  # nobody answers
+    client.send(Command(400, (0.0,)))
+    client.take(ack(400, mav.MAV_RESULT_DENIED))  # of the first
+    assert client.result is None
+    client.take(ack(400, mav.MAV_RESULT_ACCEPTED))
+    assert client.result == mav.MAV_RESULT_ACCEPTED
+
+
 # Parameters ---------------------------------------------------------------------------------------------
 
 
 def test_integers_are_bits_on_px4_and_values_on_ardupilot(spoken):
     """1 as an INT32 is 1.4e-45 as a float's bits, and 1.0 as a value."""
     bits, values = ParameterClient(spoken[0]), ParameterClient(spoken[0])
+    bits.request("COM_OBL_RC_ACT")
+    values.request("GUID_OPTIONS")
     bits.bytewise = True
     bits.take(value("COM_OBL_RC_ACT", 1.401298464324817e-45, mav.MAV_PARAM_TYPE_INT32))
     values.take(value("GUID_OPTIONS", 8.0, mav.MAV_PARAM_TYPE_INT32))
@@ -111,6 +133,9 @@ def test_reals_are_the_same_in_both(spoken):
     for bytewise in (True, False):
         client = ParameterClient(spoken[0])
         client.bytewise = bytewise
+        client.request("MPC_THR_HOVER")
+        client.take(value("SOMEBODY_ELSES", 0.5, mav.MAV_PARAM_TYPE_REAL32))
+        assert client.values == {}
         client.take(value("MPC_THR_HOVER", 0.5, mav.MAV_PARAM_TYPE_REAL32))
         assert client.values["MPC_THR_HOVER"] == 0.5
 
@@ -123,6 +148,7 @@ def test_integers_come_back_from_px4s_encoding(kind, data):
         return  # a processor may change the bits of a signalling NaN on the way: PX4's own limit
     client = ParameterClient(link_over(MemoryTransport()))
     client.bytewise = True
+    client.request("NAME")
     client.take(over_the_wire(value("NAME", as_float(kind, integer), kind)))
     assert client.values["NAME"] == integer
 
@@ -132,6 +158,8 @@ def test_what_is_set_is_what_the_autopilot_reads(kind, integer, bytewise):
     transport = MemoryTransport()
     client = ParameterClient(link_over(transport))
     client.bytewise = bytewise
+    client.request("NAME")
+    transport.sent.clear()
     client.take(over_the_wire(value("NAME", as_float(kind, 3) if bytewise else 3.0, kind)))
     client.set("NAME", float(integer))
     (message,) = decoded(transport.sent)

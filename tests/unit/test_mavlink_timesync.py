@@ -138,3 +138,21 @@ def test_lateness_is_believed_up_to_the_longest_recent_round_trip():
     sync.add(sent, sent + 100_000_000_000 + 300_000_000, sent + 600_000_000)  # the link is slow now
     assert sync.lateness_s(99.5, 0.0) == pytest.approx(0.5, abs=0.01)
     assert sync.lateness_s(99.99, 0.0) == pytest.approx(0.01, abs=0.005)
+
+
+@pytest.mark.parametrize("drift", [0.01, -0.01, 0.007, 0.0])
+def test_a_drift_of_up_to_a_percent_is_taken_along(drift):
+    """Answers as PX4's, one of them 0.4 s late: the autopilot's time is right to 2 ms, and the clock is still steady."""
+    draw, sync = random.Random(3), TimeSync()
+
+    def clock(now_s):
+        return 100.0 + (1.0 + drift) * now_s
+
+    for index in range(60):
+        at_s = 5.0 + 0.1 * index
+        late_s = 0.4 if index == 59 else draw.uniform(0.2e-3, 2.5e-3)
+        exchange(sync, at_s, late_s, 0.2e-3, clock)
+        if index > 20:
+            assert sync.autopilot_time_s(at_s) == pytest.approx(clock(at_s), abs=2e-3)
+            assert sync.steady
+    assert sync.drift == pytest.approx(drift, abs=1e-3)

@@ -58,6 +58,7 @@ class ArduPilot(Autopilot):
             core=self.core,
             parameters=self.parameters,
             clock=self.clock,
+            radio=self.radio,
             origin=ORIGIN,
             boot=Boot(self.clock, self.ready_after_s),
         )

@@ -17,6 +17,7 @@ from sitl_stub.firmware.ardupilot.motion_messages import ArduPilotMotion
 from sitl_stub.firmware.ardupilot.state import ArduPilotState
 from sitl_stub.firmware.common.clock import SIMULATED_EPOCH_US
 from sitl_stub.firmware.common.mavlink_ids import LandedState, ModeFlag, SystemStatus, VehicleType
+from sitl_stub.firmware.common.radio import RECEIVER_BIT
 from sitl_stub.firmware.common.streams import Builder, StreamRow
 from sitl_stub.firmware.common.wire_values import NAN, Values, int16
 from sitl_stub.mavlink.codec import LAYOUTS
@@ -183,6 +184,8 @@ class ArduPilotMessages:
             enabled |= LOGGING_BIT
         if a.prearm_good:
             health |= PREARM_BIT
+        if not a.radio.healthy:
+            health &= ~RECEIVER_BIT
         truth = a.core.state
         volts = round(float(truth[body.BATTERY_VOLTAGE]) * 1000)
         current = int16(100.0 * self._current())

@@ -147,10 +147,11 @@ class ArduPilotMotion:
         """RC_CHANNELS: eight channels; the throttle is down unless somebody moves it."""
         a = self.state
         sticks = a.sticks
-        first = [
+        first = (
             round(1500 + 500 * sticks.roll),
             round(1500 - 500 * sticks.pitch),
             round(1000 + 1000 * sticks.throttle),
             round(1500 + 500 * sticks.yaw),
-        ]
-        return (a.clock.stamp_ms, *first, 1800, 1000, 1000, 1800, *([0] * 10), 8, 255)
+        )
+        shown, rssi = a.radio.received(first, 255)
+        return (a.clock.stamp_ms, *shown, 1800, 1000, 1000, 1800, *([0] * 10), 8, rssi)

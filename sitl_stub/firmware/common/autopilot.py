@@ -14,6 +14,7 @@ from sitl_stub.firmware.common.commands import CommandProtocol, MessageHandler, 
 from sitl_stub.firmware.common.interference import Interference, Undisturbed
 from sitl_stub.firmware.common.parameter_protocol import ParameterProtocol
 from sitl_stub.firmware.common.parameters import ParameterTable
+from sitl_stub.firmware.common.radio import Radio
 from sitl_stub.firmware.common.state import FirmwareState
 from sitl_stub.firmware.common.streams import LinkStreams, StreamTable
 from sitl_stub.firmware.common.vehicle_core import VehicleCore
@@ -43,6 +44,7 @@ class Autopilot:
         self.parameters = parameters
         self.clock = clock
         self.voice = voice
+        self.radio = Radio()
         self.faults: Interference = Undisturbed(self.take_in)
         """What is to go wrong; it puts itself here."""
         self._parameter_changes = parameters.changes

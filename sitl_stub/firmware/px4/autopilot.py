@@ -51,6 +51,7 @@ class Px4(Autopilot):
             core=self.core,
             parameters=p,
             clock=self.clock,
+            radio=self.radio,
             origin=origin,
             version=self.version,
             ready_after_us=self.ready_after_us,

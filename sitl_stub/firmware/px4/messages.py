@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 
 from sitl_stub.firmware.common.clock import SIMULATED_EPOCH_US
 from sitl_stub.firmware.common.mavlink_ids import LandedState, ModeFlag, SystemStatus
+from sitl_stub.firmware.common.radio import RECEIVER_BIT
 from sitl_stub.firmware.common.streams import StreamRow
 from sitl_stub.firmware.common.wire_values import NAN, Values, int16
 from sitl_stub.firmware.px4 import layout as at
@@ -126,6 +127,8 @@ class Px4Messages:
             present, enabled = 0, 0
         if a.armed or self.commander.ready_to_arm:
             health |= PREARM_BIT
+        if a.sticks.radio and a.radio.healthy:
+            health |= RECEIVER_BIT
         if not a.core.position_aided:
             health &= ~GPS_BIT
         truth = a.core.state

@@ -174,4 +174,5 @@ class Px4Motion:
             round(1000 + 1000 * sticks.throttle),
             round(1500 + 500 * sticks.yaw),
         )
-        return (a.clock.stamp_ms, *first, *([65535] * 14), 4, 100)
+        shown, rssi = a.radio.received(first, 100)
+        return (a.clock.stamp_ms, *shown, *([65535] * 14), 4, rssi)
