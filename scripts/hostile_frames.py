@@ -36,9 +36,9 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from companion.mavlink.link import Link
 from sitl_stub import Stub
-from sitl_stub.firmware.ardupilot_build import build_ardupilot
-from sitl_stub.firmware.autopilot import Autopilot
-from sitl_stub.firmware.px4_build import build_px4
+from sitl_stub.firmware.ardupilot.build import build_ardupilot
+from sitl_stub.firmware.common.autopilot import Autopilot
+from sitl_stub.firmware.px4.build import build_px4
 from sitl_stub.mavlink.links import MemoryLink
 
 CAPTURES = {"px4": "px4_sih_qball2.tlog.gz", "ardupilot": "arducopter_sitl.tlog.gz"}
@@ -248,7 +248,7 @@ class Firmware:
         self.packer = mavlink.MAVLink(None, 42, 190)
         self.asked = self.fed = 0
         self.messages = [name_to_id(name) for name in self.autopilot.messages]
-        self.commands = list(self.autopilot.commands)
+        self.commands = list(self.autopilot.command_protocol.handlers)
 
     def feed(self, data: bytes) -> None:
         for message in self.link.reader.read_datagram(data):
@@ -263,7 +263,7 @@ class Firmware:
         return self.link.counters.received
 
     def state(self) -> tuple[Any, ...]:
-        mode = getattr(self.autopilot, "mode", None) or self.autopilot.commander.mode  # type: ignore[attr-defined]
+        mode = getattr(self.autopilot, "mode", None) or self.autopilot.state.mode  # type: ignore[attr-defined]
         return mode, self.autopilot.armed
 
     def check(self) -> None:

@@ -26,7 +26,7 @@ from sitl_stub.stub_process import watch_parent
 
 if TYPE_CHECKING:
     from sitl_stub.faults.scenario import Scenario
-    from sitl_stub.firmware.autopilot import Autopilot
+    from sitl_stub.firmware.common.autopilot import Autopilot
     from sitl_stub.mavlink.codec import LinkCounters
     from sitl_stub.mavlink.links import Port
     from sitl_stub.physics.vehicle import VehicleParameters
@@ -45,14 +45,11 @@ def _look_at(
     Raises ValueError (VehicleError, ParameterError, FaultError).
     """
     if parameters:
-        from sitl_stub.firmware.ardupilot_parameters import stock_parameters
-        from sitl_stub.firmware.parameters import ParameterTable, shipped_parameters
-
-        table: ParameterTable
-        if options.firmware == "ardupilot":
-            table = stock_parameters()
+        if options.firmware != "ardupilot":
+            from sitl_stub.firmware.px4.parameters import stock_parameters
         else:
-            table = ParameterTable(shipped_parameters("px4_parameters.json"))
+            from sitl_stub.firmware.ardupilot.parameters import stock_parameters
+        table = stock_parameters()
         for name, value in parameters.items():
             table.set(name, value)
     if options.estimator not in ESTIMATORS:
@@ -120,10 +117,10 @@ def _build(
     """The firmware; from here on numba is loaded."""
     place = (vehicle, options.estimator, options.seed, (wind, 0.0, 0.0), gust, parameters)
     if options.firmware == "ardupilot":
-        from sitl_stub.firmware.ardupilot_build import build_ardupilot
+        from sitl_stub.firmware.ardupilot.build import build_ardupilot
 
         return build_ardupilot(*place, options.ready_after)
-    from sitl_stub.firmware.px4_build import build_px4
+    from sitl_stub.firmware.px4.build import build_px4
 
     return build_px4(options.firmware, *place, options.ready_after)
 
@@ -193,7 +190,7 @@ def main(arguments: list[str] | None = None) -> int:
             print(f"[{autopilot.time_us * 1e-6:9.3f}] {text}", flush=True)
 
     server.say = say
-    autopilot.on_text = say
+    autopilot.voice.on_text = say
     server.duration_us = None if options.duration is None else int(options.duration * 1e6)
     server.exit_on_disarm = options.exit_on_disarm
     if stopping.is_set():

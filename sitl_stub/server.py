@@ -21,7 +21,7 @@ from sitl_stub.mavlink.udp import UdpLink
 
 if TYPE_CHECKING:
     from sitl_stub.faults.control import ControlChannel
-    from sitl_stub.firmware.autopilot import Autopilot
+    from sitl_stub.firmware.common.autopilot import Autopilot
 
 BARRIER_PATIENCE_S = 2.0
 """Wall time one answer is waited for."""
@@ -82,7 +82,7 @@ class Server:
     def run(self, autopilot: Autopilot) -> None:
         """Serve until told to stop, the duration is over, or (if asked) the vehicle has disarmed after a flight."""
         self._autopilot = autopilot
-        autopilot.lockstep = self.lockstep
+        autopilot.clock.lockstep = self.lockstep
         self.wall_start = time.monotonic()
         self._refresh()
         if self.lockstep:
@@ -287,7 +287,6 @@ class Server:
     def _wait_for_first_answer(self, autopilot: Autopilot) -> None:
         """Repeat HEARTBEAT and TIMESYNC at the first instant until a client answers; time stands still."""
         next_probe = 0.0
-        heartbeat = LAYOUTS["HEARTBEAT"].message_id
         heard_at: float | None = None
         probed: set[int] = set()
         while not self._finished(autopilot):
@@ -297,8 +296,8 @@ class Server:
                 links = autopilot.links if now >= next_probe else fresh
                 next_probe = now + START_REPEAT_S
                 for link in links:
-                    autopilot.streams.build(link, heartbeat)
-                    self._request_answer(link, self._barriers[id(link)], autopilot.clock_us)
+                    autopilot.streams.send_named(link, "HEARTBEAT")
+                    self._request_answer(link, self._barriers[id(link)], autopilot.clock.stamp_us)
                     probed.add(id(link))
                 self._handle(self._receive(0.002))
                 if any(isinstance(link, UdpLink) and link.refused for link in autopilot.links):
@@ -326,10 +325,10 @@ class Server:
         for link in autopilot.links:
             barrier = self._barriers[id(link)]
             if barrier.takes_part:
-                self._request_answer(link, barrier, autopilot.clock_us)
+                self._request_answer(link, barrier, autopilot.clock.stamp_us)
             elif not autopilot.time_us % 1_000_000:
                 # a client that has not answered yet may begin to
-                link.send_past_faults(_TIMESYNC, (0, autopilot.clock_us * 1000))
+                link.send_past_faults(_TIMESYNC, (0, autopilot.clock.stamp_us * 1000))
 
     def _wait_for_answers(self, autopilot: Autopilot) -> None:
         deadline = time.monotonic() + BARRIER_PATIENCE_S

@@ -8,8 +8,8 @@
         print(simulation.estimate.position_ned, simulation.truth.position_ned)
 
 Same loops, physics, estimator, seeds and bits as behind the sockets. For a search in compiled code take
-`sitl_stub.firmware.flight_loop.fly` and `simulation.fly_arguments()`: a function of yours, compiled with numba, writes the
-setpoint array (`firmware/control_layout.py`), calls `fly(*arguments, periods)` and reads estimate and state. NED/FRD, SI.
+`sitl_stub.firmware.px4.loop.fly` and `simulation.fly_arguments()`: a function of yours, compiled with numba, writes the
+setpoint array (`firmware/px4/layout.py`), calls `fly(*arguments, periods)` and reads estimate and state. NED/FRD, SI.
 """
 
 from __future__ import annotations
@@ -21,9 +21,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl_stub.firmware import control_layout as at
-from sitl_stub.firmware.flight_core import CONTROL_PERIOD_US, FlightCore
-from sitl_stub.firmware.px4_build import VERSIONS, px4_parameters
+from sitl_stub.firmware.px4 import layout as at
+from sitl_stub.firmware.px4.build import VERSIONS
+from sitl_stub.firmware.px4.core import CONTROL_PERIOD_US, FlightCore
+from sitl_stub.firmware.px4.parameters import fitted_parameters
 from sitl_stub.physics import estimator as belief
 from sitl_stub.physics import vehicle as body
 from sitl_stub.physics.estimator import Estimate
@@ -80,7 +81,7 @@ class Simulation:
         parameters: Mapping[str, float] | None = None,
     ) -> None:
         self.vehicle = load_vehicle(vehicle) if isinstance(vehicle, str) else vehicle
-        table = px4_parameters(self.vehicle)
+        table = fitted_parameters(self.vehicle)
         for name, value in (parameters or {}).items():
             table.set(name, value)
         self.parameters = table

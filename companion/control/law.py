@@ -31,7 +31,6 @@ from companion.control.structs import (
     Record,
     Reference,
     Setpoint,
-    StepResult,
     Vector,
     VehicleState,
 )
@@ -51,6 +50,15 @@ def _place_in_terms(name: str, width: int) -> slice:
 _THRUST, _FLAGS = _place_in_terms("thrust", 1).start, _place_in_terms("bounds", 1).start
 _QUATERNION = _place_in_terms("quaternion", 4)
 _BODY_RATE, _TORQUE = _place_in_terms("body_rate", 3), _place_in_terms("torque", 3)
+
+
+@dataclass(frozen=True, slots=True)
+class StepResult:
+    """What one step of a law gives back."""
+
+    memory: Memory  # for the next step
+    setpoint: Setpoint  # for the autopilot
+    terms: Terms  # for the log
 
 
 class StepRefused(ArithmeticError):

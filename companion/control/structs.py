@@ -9,13 +9,10 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    from companion.control.packing import Memory, Terms
 
 Vector = NDArray[np.float64]
 
@@ -95,12 +92,3 @@ class AdaptationGate(enum.IntEnum):
     """Integrals and weights keep their values: stale data, a pilot at the sticks, an overrun loop."""
     GROUND = 3
     """On the ground or spooling up: integrals and weights are held at zero and start clean at lift-off."""
-
-
-@dataclass(frozen=True, slots=True)
-class StepResult:
-    """What one step of a law gives back."""
-
-    memory: Memory  # for the next step
-    setpoint: Setpoint  # for the autopilot
-    terms: Terms  # for the log

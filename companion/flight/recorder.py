@@ -7,8 +7,9 @@ import math
 import numpy as np
 
 from companion.autopilot.adapter import VehicleStatus
+from companion.control.law import StepResult
 from companion.control.packing import Memory
-from companion.control.structs import ControlLevel, Reference, Setpoint, StepResult, Vector, VehicleState
+from companion.control.structs import ControlLevel, Reference, Setpoint, Vector, VehicleState
 from companion.flightlog.channels import (
     ESTIMATES,
     REFERENCE,

@@ -24,8 +24,8 @@ from companion.control.rotation import wrap_angle
 from companion.control.structs import Packed, Record, Vector
 from companion.tuning.lagged_plant import advance_lagged
 from companion.tuning.reference_table import PERIOD_S
-from sitl_stub.firmware import control_layout as at
-from sitl_stub.firmware.flight_loop import fly
+from sitl_stub.firmware.px4 import layout as at
+from sitl_stub.firmware.px4.loop import fly
 from sitl_stub.physics import vehicle as body
 from sitl_stub.physics.estimator import (
     EST_BODY_RATE,

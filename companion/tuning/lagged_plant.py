@@ -14,7 +14,7 @@ from companion.config.profile import VehicleProfile
 from companion.control.compiled import compiled
 from companion.control.rotation import quaternion_from_rotation_vector, quaternion_product
 from companion.control.structs import Vector
-from sitl_stub.firmware.control_layout import KIND, KIND_ATTITUDE, QUATERNION, RATES, THRUST
+from sitl_stub.firmware.px4.layout import KIND, KIND_ATTITUDE, QUATERNION, RATES, THRUST
 from sitl_stub.physics import vehicle as body
 
 GRAVITY, MASS, FULL_THRUST, ROTOR_LAG, DRAG, FREQUENCY, DAMPING, RATE_LAG = 0, 1, 2, 3, 4, 7, 10, 13

@@ -16,11 +16,11 @@ class ClockJump(Fault):
 
     def act(self, site: Site) -> Effect:
         """Put the clock wrong."""
-        site.autopilot.put_clock_wrong(site.name, round(self.jump_s * 1e6))
+        site.autopilot.clock.put_wrong(site.name, round(self.jump_s * 1e6))
         try:
             yield from hold()
         finally:
-            site.autopilot.put_clock_wrong(site.name, 0)
+            site.autopilot.clock.put_wrong(site.name, 0)
 
 
 @dataclass(frozen=True)
@@ -40,5 +40,5 @@ class ClockDrift(Fault):
             self._gain(site)
 
     def _gain(self, site: Site) -> None:
-        running_s = min(site.elapsed_s, max(site.autopilot.uptime_us, 0) * 1e-6)
-        site.autopilot.put_clock_wrong(site.name, round(self.drift_ppm * running_s))
+        running_s = min(site.elapsed_s, max(site.autopilot.clock.uptime_us, 0) * 1e-6)
+        site.autopilot.clock.put_wrong(site.name, round(self.drift_ppm * running_s))

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 from sitl_stub.faults.fault import Effect, Site
 from sitl_stub.faults.frames import FrameFaults
 from sitl_stub.faults.scenario import ANCHORS, Entry, Scenario
+from sitl_stub.firmware.common.mavlink_ids import Severity
+from sitl_stub.mavlink.codec import Received
+from sitl_stub.mavlink.links import Link
 
 if TYPE_CHECKING:
-    from sitl_stub.firmware.autopilot import Autopilot
-
-NOTICE = 5
-"""MAV_SEVERITY."""
+    from sitl_stub.firmware.common.autopilot import Autopilot
 
 
 @dataclass(slots=True)
@@ -79,6 +79,18 @@ class FaultDirector:
             if due is not None and due < instant:
                 instant = max(due, self.autopilot.core.time_us + self.autopilot.core.control_period_us)
         return min(instant, otherwise_us)
+
+    def take_on(self, link: Link) -> None:
+        """Stand between a client and its socket."""
+        self.frames.take_on(link)
+
+    def let_go(self, link: Link) -> None:
+        """Forget a client and what is still on its way to or from it."""
+        self.frames.let_go(link)
+
+    def take_in(self, link: Link, message: Received) -> None:
+        """A message of a client has come: what reaches the autopilot of it, and when."""
+        self.frames.take_in(link, message)
 
     def run(self) -> int:
         """Do what is due at the present instant; returns how many messages went to clients."""
@@ -146,8 +158,8 @@ class FaultDirector:
 
     def _tell(self, text: str) -> int:
         """STATUSTEXT to every client at once: before a fault of the link begins, and after it has ended."""
-        self.autopilot.on_text(text)
+        self.autopilot.voice.note(text)
         if not self.announce:
             return 0
-        self.autopilot.broadcast("STATUSTEXT", severity=NOTICE, text=text)
+        self.autopilot.voice.broadcast("STATUSTEXT", severity=Severity.NOTICE, text=text)
         return len(self.autopilot.links)

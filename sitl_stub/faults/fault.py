@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 if TYPE_CHECKING:
     from sitl_stub.faults.frames import FrameFaults
-    from sitl_stub.firmware.autopilot import Autopilot
+    from sitl_stub.firmware.common.autopilot import Autopilot
     from sitl_stub.physics.vehicle import VehicleParameters
 
 Effect = Generator[None, None, None]

@@ -19,7 +19,7 @@ from sitl_stub.mavlink.codec import LAYOUTS, MessageLayout, Received, renumbered
 from sitl_stub.mavlink.links import Link
 
 if TYPE_CHECKING:
-    from sitl_stub.firmware.autopilot import Autopilot
+    from sitl_stub.firmware.common.autopilot import Autopilot
 
 Direction = Literal["to_client", "from_client"]
 

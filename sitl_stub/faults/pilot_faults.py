@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from sitl_stub.faults.fault import Effect, Fault, Site, choice, hold, number, switch
-from sitl_stub.firmware import ardupilot_modes, px4_modes
-from sitl_stub.firmware.radio import APPEARANCES
+from sitl_stub.firmware.ardupilot import modes as ardupilot_modes
+from sitl_stub.firmware.common.radio import APPEARANCES
+from sitl_stub.firmware.px4 import modes as px4_modes
 
 if TYPE_CHECKING:
     from sitl_stub.physics.vehicle import VehicleParameters
@@ -94,7 +95,7 @@ class PilotKill(Fault):
         """Switch."""
 
         def use(let: float) -> None:
-            site.autopilot.killed = let < 1.0
+            site.autopilot.pilot_kill(let < 1.0)
 
         with site.setting("kill switch", 0.0, use, otherwise=1.0):
             yield from hold()

@@ -103,8 +103,7 @@ def _fill(row: Any, autopilot: Any) -> None:
 
     state = autopilot.core.state
     row[ARMED] = autopilot.armed
-    commander = getattr(autopilot, "commander", None)
-    row[MODE] = commander.mode.custom_mode if commander is not None else autopilot.mode.number
+    row[MODE] = autopilot.state.mode.custom_mode
     row[POSITION] = state[body.POSITION_NED]
     row[VELOCITY] = state[body.VELOCITY_NED]
     row[QUATERNION] = state[body.QUATERNION_WXYZ]

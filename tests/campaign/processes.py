@@ -93,8 +93,8 @@ def warm_up(stub_firmwares: Sequence[str]) -> None:
     from companion.config.settings import load_settings
     from companion.control.prediction import Predictor
     from companion.control.registry import build_law
-    from sitl_stub.firmware.ardupilot_build import build_ardupilot
-    from sitl_stub.firmware.px4_build import build_px4
+    from sitl_stub.firmware.ardupilot.build import build_ardupilot
+    from sitl_stub.firmware.px4.build import build_px4
     from sitl_stub.physics.vehicle import load_vehicle
 
     nowhere: tuple[Any, ...] = ((1.0, 0.0, 0.0), 1.0, {}, 1.0)

@@ -37,7 +37,11 @@ class ArduPilotPilot(ScenarioPilot):
         if message.get_type() == "HEARTBEAT" and message.autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA:
             if not self.asked:
                 self.asked = True
-                self.command(511, 30, ATTITUDE_INTERVAL_US)
+                self.command(
+                    mavlink.MAV_CMD_SET_MESSAGE_INTERVAL,
+                    mavlink.MAVLINK_MSG_ID_ATTITUDE,
+                    ATTITUDE_INTERVAL_US,
+                )
             armed = bool(message.base_mode & 128)
             self._armed_seen |= armed
             if self._armed_seen and not armed and self.time_s > 60.0:
@@ -94,20 +98,27 @@ class ArduPilotPilot(ScenarioPilot):
         def stream(action: Callable[[], None] | None) -> Callable[[], None]:
             return lambda: setattr(self, "streaming", action)
 
-        phase(5.70, "connected", lambda: self.command(512, 148))
-        at(6.19, lambda: self.command(520, 1))
+        phase(
+            5.70,
+            "connected",
+            lambda: self.command(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION),
+        )
+        at(6.19, lambda: self.command(mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES, 1))
         at(7.00, lambda: self.connection.mav.param_request_read_send(1, 1, b"NO_SUCH_PARAM", -1))
         phase(7.50, "param list", lambda: self.connection.mav.param_request_list_send(1, 1))
         for index, (message_id, interval) in enumerate(INTERVALS.items()):
-            at(8.17 + 0.05 * index, lambda m=message_id, i=interval: self.command(511, m, i))
-        at(9.91, lambda: self.command(176, 1, GUIDED))
-        at(10.91, lambda: self.command(400, 1))
-        at(11.91, lambda: self.command(400, 0))
+            at(
+                8.17 + 0.05 * index,
+                lambda m=message_id, i=interval: self.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, m, i),
+            )
+        at(9.91, lambda: self.command(mavlink.MAV_CMD_DO_SET_MODE, 1, GUIDED))
+        at(10.91, lambda: self.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1))
+        at(11.91, lambda: self.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0))
         at(12.41, lambda: self.command(31999, 1))
         for time_s, (name, value) in PARAMETERS.items():
             at(time_s, lambda n=name, v=value: self.connection.mav.param_set_send(1, 1, n, v, 9))
-        phase(46.12, "guided", lambda: self.command(176, 1, GUIDED))
-        phase(46.62, "arm", lambda: self.command(400, 1))
+        phase(46.12, "guided", lambda: self.command(mavlink.MAV_CMD_DO_SET_MODE, 1, GUIDED))
+        phase(46.62, "arm", lambda: self.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1))
         phase(47.62, "takeoff by attitude+thrust", stream(hold))
         for time_s, name, roll, pitch in (
             (57.62, "roll +0.2", 0.2, 0.0),
@@ -133,9 +144,13 @@ class ArduPilotPilot(ScenarioPilot):
         at(145.61, stream(hold))
         phase(150.61, "setpoints stop", stream(None))
         phase(155.11, "regain", stream(hold))
-        phase(161.11, "pilot takeover: position hold mode", lambda: self.command(176, 1, LOITER))
-        phase(163.11, "regain", lambda: self.command(176, 1, GUIDED))
-        phase(167.11, "land", lambda: self.command(176, 1, LAND))
+        phase(
+            161.11,
+            "pilot takeover: position hold mode",
+            lambda: self.command(mavlink.MAV_CMD_DO_SET_MODE, 1, LOITER),
+        )
+        phase(163.11, "regain", lambda: self.command(mavlink.MAV_CMD_DO_SET_MODE, 1, GUIDED))
+        phase(167.11, "land", lambda: self.command(mavlink.MAV_CMD_DO_SET_MODE, 1, LAND))
         at(167.11, stream(None))
         return script
 

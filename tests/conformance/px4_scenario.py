@@ -32,6 +32,8 @@ INTERVALS = {
 }
 INTERVALS |= {242: 1000000, 33: 200000, 230: 500000, 36: 50000, 9999: 100000}
 ATTITUDE_ONLY, RATES_ONLY, NO_THROTTLE = 7, 128, 71
+OFFBOARD, POSCTL, AUTO_LOITER, AUTO_LAND = (6,), (3,), (4, 3), (4, 6)
+"""Main and sub mode of DO_SET_MODE."""
 
 
 @dataclass
@@ -161,26 +163,32 @@ class ScenarioPilot:
             return lambda: self.mark(text)
 
         at(1.59, announce("connected"))
-        at(1.60, lambda: self.command(512, 148))
-        at(2.08, lambda: self.command(520, 1))
+        at(
+            1.60,
+            lambda: self.command(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION),
+        )
+        at(2.08, lambda: self.command(mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES, 1))
         at(2.90, lambda: self.connection.mav.param_request_read_send(1, 1, b"NO_SUCH_PARAM", -1))
         at(3.40, announce("param list"))
         at(3.41, lambda: self.connection.mav.param_request_list_send(1, 1))
         for index, (message_id, interval) in enumerate(INTERVALS.items()):
-            at(4.20 + 0.06 * index, lambda m=message_id, i=interval: self.command(511, m, i))
+            at(
+                4.20 + 0.06 * index,
+                lambda m=message_id, i=interval: self.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, m, i),
+            )
         at(6.06, announce("mode and arm before ready or without set"))
-        at(6.06, lambda: self.command(176, 1, 6))
-        at(7.06, lambda: self.command(400, 1))
-        at(8.06, lambda: self.command(400, 0))
+        at(6.06, lambda: self.command(mavlink.MAV_CMD_DO_SET_MODE, 1, *OFFBOARD))
+        at(7.06, lambda: self.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1))
+        at(8.06, lambda: self.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0))
         at(8.56, lambda: self.command(31999, 1))
-        at(9.06, lambda: self.command(176, 1, 4, 3))
+        at(9.06, lambda: self.command(mavlink.MAV_CMD_DO_SET_MODE, 1, *AUTO_LOITER))
         at(10.07, announce("prearm ok"))
         at(13.07, announce("stream idle setpoints"))
         at(13.07, stream(lambda: self.attitude(0, 0, 0, 0.0)))
         at(14.27, announce("offboard"))
-        at(14.27, lambda: self.command(176, 1, 6))
+        at(14.27, lambda: self.command(mavlink.MAV_CMD_DO_SET_MODE, 1, *OFFBOARD))
         at(14.87, announce("arm"))
-        at(14.87, lambda: self.command(400, 1))
+        at(14.87, lambda: self.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1))
         at(16.37, announce("takeoff by attitude+thrust"))
         at(16.37, stream(hold))
 
@@ -223,13 +231,13 @@ class ScenarioPilot:
         at(119.41, stream(None))
         at(122.41, announce("regain"))
         at(122.41, stream(hold))
-        at(122.92, lambda: self.command(176, 1, 6))
+        at(122.92, lambda: self.command(mavlink.MAV_CMD_DO_SET_MODE, 1, *OFFBOARD))
         at(128.92, announce("pilot takeover: position hold mode"))
-        at(128.92, lambda: self.command(176, 1, 3))
+        at(128.92, lambda: self.command(mavlink.MAV_CMD_DO_SET_MODE, 1, *POSCTL))
         at(130.92, announce("regain"))
-        at(130.92, lambda: self.command(176, 1, 6))
+        at(130.92, lambda: self.command(mavlink.MAV_CMD_DO_SET_MODE, 1, *OFFBOARD))
         at(134.92, announce("land"))
-        at(134.92, lambda: self.command(176, 1, 4, 6))
+        at(134.92, lambda: self.command(mavlink.MAV_CMD_DO_SET_MODE, 1, *AUTO_LAND))
         at(134.92, stream(None))
         return script
 

@@ -14,8 +14,8 @@ from stub_flights import Pilot as GroundPilot
 
 from companion.analysis.comparison import compare_logs
 from companion.analysis.metrics import flight_metrics
-from companion.control.law import ControlLaw
-from companion.control.structs import Setpoint, StepResult
+from companion.control.law import ControlLaw, StepResult
+from companion.control.structs import Setpoint
 from companion.flight.flight import Flight
 from companion.flight.outcome import Outcome
 from companion.flight.phases import Phase

@@ -168,8 +168,8 @@ def scenarios() -> Callable[[bytes], None]:
     from sitl_stub.faults.director import FaultDirector
     from sitl_stub.faults.fault import FaultError
     from sitl_stub.faults.scenario import Target, read_scenario
-    from sitl_stub.firmware.ardupilot_build import build_ardupilot
-    from sitl_stub.firmware.px4_build import build_px4
+    from sitl_stub.firmware.ardupilot.build import build_ardupilot
+    from sitl_stub.firmware.px4.build import build_px4
     from sitl_stub.mavlink.links import MemoryLink
     from sitl_stub.physics.vehicle import load_vehicle
 

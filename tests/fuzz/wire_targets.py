@@ -145,8 +145,8 @@ def stub(firmware: str) -> Callable[[bytes], None]:
     An autopilot lives for INPUTS_PER_AUTOPILOT inputs, so that states are reached that one input does not reach; what
     fails is tried on a new one, and where it passes there, the note of the exception holds all inputs since the last.
     """
-    from sitl_stub.firmware.ardupilot_build import build_ardupilot
-    from sitl_stub.firmware.px4_build import build_px4
+    from sitl_stub.firmware.ardupilot.build import build_ardupilot
+    from sitl_stub.firmware.px4.build import build_px4
     from sitl_stub.mavlink.links import MemoryLink
 
     build = {"px4": build_px4, "ardupilot": partial(build_ardupilot, ready_after_s=1.0)}[firmware]
@@ -199,23 +199,30 @@ def stub_seeds() -> list[bytes]:
     position = (0, 1, 1, 1, 0b100111111000, 0, 0, -3, *(0.0,) * 8)
     talks = [
         [message_record(mav.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)), wait_record(100)],
-        [message_record(mav.MAVLink_set_attitude_target_message(0, 1, 1, 7, level, 0, 0, 0, 0.5)), command(176, 1, 6),
-         command(400, 1), wait_record(250)],
-        [message_record(mav.MAVLink_set_position_target_local_ned_message(*position)), command(176, 1, 4),
-         command(400, 1), command(22, 0, 0, 0, 0, 0, 0, 5), wait_record(250)],
+        [message_record(mav.MAVLink_set_attitude_target_message(0, 1, 1, 7, level, 0, 0, 0, 0.5)),
+         command(mav.MAV_CMD_DO_SET_MODE, 1, 6),
+         command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1), wait_record(250)],
+        [message_record(mav.MAVLink_set_position_target_local_ned_message(*position)),
+         command(mav.MAV_CMD_DO_SET_MODE, 1, 4),
+         command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1),
+         command(mav.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 5), wait_record(250)],
         [message_record(mav.MAVLink_set_position_target_global_int_message(
             0, 1, 1, 6, 0, 473977420, 85455940, 10, *(0.0,) * 8))],
         [message_record(mav.MAVLink_param_request_list_message(1, 1)), wait_record(100)],
         [message_record(mav.MAVLink_param_request_read_message(1, 1, b"SYS_AUTOSTART", -1))],
         [message_record(mav.MAVLink_param_set_message(1, 1, b"MC_ROLL_P", 6.5, 9))],
         [message_record(mav.MAVLink_param_set_message(1, 1, b"ATC_RAT_RLL_P", 0.1, 9))],
-        [command(511, 31, 4000), command(512, 148), command(510, 30), wait_record(50)],
+        [command(mav.MAV_CMD_SET_MESSAGE_INTERVAL, mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION, 4000),
+         command(mav.MAV_CMD_REQUEST_MESSAGE, mav.MAVLINK_MSG_ID_AUTOPILOT_VERSION),
+         command(mav.MAV_CMD_GET_MESSAGE_INTERVAL, mav.MAVLINK_MSG_ID_ATTITUDE), wait_record(50)],
         [message_record(mav.MAVLink_set_actuator_control_target_message(0, 0, 1, 1, [0.0] * 8))],
         [message_record(mav.MAVLink_timesync_message(0, 99)), message_record(mav.MAVLink_ping_message(1, 2, 0, 0))],
         [message_record(mav.MAVLink_manual_control_message(1, 0, 0, 500, 0, 0))],
         [message_record(mav.MAVLink_rc_channels_override_message(1, 1, *(1500,) * 8))],
         [message_record(mav.MAVLink_command_int_message(1, 1, 0, 192, 0, 0, 0, 0, 0, 0, 473977420, 85455940, 10.0))],
-        [command(21), command(20), command(400, 0, 21196), wait_record(250)],
+        [command(mav.MAV_CMD_NAV_LAND),
+         command(mav.MAV_CMD_NAV_RETURN_TO_LAUNCH),
+         command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 0, 21196), wait_record(250)],
         [message_record(mav.MAVLink_mission_request_list_message(1, 1)), message_record(mav.MAVLink_odometry_message(
             1, 1, 12, 0, 0, 0, level, 0, 0, 0, 0, 0, 0, [0.0] * 21, [0.0] * 21))],
     ]  # fmt: skip

@@ -7,8 +7,8 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from stub_client import MemoryClient
 
-from sitl_stub.firmware.ardupilot import ArduPilot
-from sitl_stub.firmware.ardupilot_build import build_ardupilot
+from sitl_stub.firmware.ardupilot.autopilot import ArduPilot
+from sitl_stub.firmware.ardupilot.build import build_ardupilot
 
 GUIDED, LOITER, LAND, RTL, BRAKE, GUIDED_NOGPS = 4, 5, 9, 6, 17, 20
 THRUST_AS_THRUST = {"GUID_OPTIONS": 8.0, "ATC_ANGLE_BOOST": 0.0}
@@ -35,9 +35,9 @@ class ArduPilotClient(MemoryClient):
                 joined.append(message.text)
         return joined
 
-    def answers(self, number: int, *params: float) -> tuple[list[int], list[str]]:
+    def answers(self, command: str | int, *params: float) -> tuple[list[int], list[str]]:
         """Results of the acknowledgements, and the texts that explain them."""
-        return self.command(number, *params), self.texts()
+        return self.command(command, *params), self.texts()
 
     def velocity(self, vx: float, vy: float, vz: float) -> None:
         mask = 0b110111000111
@@ -50,9 +50,9 @@ class ArduPilotClient(MemoryClient):
     def in_the_air(self, height_m: float = 5.0) -> None:
         """Armed in GUIDED and taken off by command; hovering."""
         self.advance(2.0)
-        assert self.command(176, 1, GUIDED) == [0]
-        assert self.command(400, 1) == [0]
-        assert self.command(22, 0, 0, 0, 0, 0, 0, height_m) == [0]
+        assert self.command("DO_SET_MODE", 1, GUIDED) == [0]
+        assert self.command("COMPONENT_ARM_DISARM", 1) == [0]
+        assert self.command("NAV_TAKEOFF", 0, 0, 0, 0, 0, 0, height_m) == [0]
         self.advance(12.0)
         assert abs(self.height_m - height_m) < 0.1
 

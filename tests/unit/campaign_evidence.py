@@ -11,10 +11,12 @@ os.environ.setdefault("MAVLINK20", "1")
 from campaign.draw import PlannedFlight, Variation
 from campaign.evidence import Evidence, LogEvent
 from campaign.tape import ARMED, BOX_WIDTH, MODE, POSITION, QUATERNION, TIME
-from campaign.wire import Frame, Wire, frame_of
+from campaign.wire import ARM_DISARM, DO_SET_MODE, Frame, Wire, frame_of
 from pymavlink.dialects.v20 import all as mav
 
 OFFBOARD, LAND = 6 << 16, 4 << 16 | 6 << 24
+OFFBOARD_MODE, LAND_MODE = (6,), (4, 6)
+"""Main and sub mode of DO_SET_MODE."""
 TAKEN_S, OVER_S, END_S = 4.0, 20.0, 24.0
 _codec = mav.MAVLink(None, srcSystem=1, srcComponent=1)
 
@@ -74,16 +76,16 @@ def flight_frames() -> list[Frame]:
     frames = [
         heartbeat(1.0, 0, False),
         position(1.0, 0.0),
-        command(3.0, 176, 1, 6),
+        command(3.0, DO_SET_MODE, 1, *OFFBOARD_MODE),
         heartbeat(3.1, OFFBOARD, False),
     ]
-    frames += [command(3.5, 400, 1), heartbeat(TAKEN_S, OFFBOARD, True)]
+    frames += [command(3.5, ARM_DISARM, 1), heartbeat(TAKEN_S, OFFBOARD, True)]
     for step in range(160):
         time_s = TAKEN_S + 0.1 * step
         frames += [position(time_s, 0.2), setpoint(time_s)]
     return [
         *frames,
-        command(OVER_S, 176, 1, 4, 6),
+        command(OVER_S, DO_SET_MODE, 1, *LAND_MODE),
         heartbeat(OVER_S + 0.1, LAND, True),
         heartbeat(END_S, LAND, False),
     ]

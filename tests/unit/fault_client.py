@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from ardupilot_client import ArduPilotClient
-from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from stub_client import MemoryClient
+from stub_client import MemoryClient, message_id
 
 from sitl_stub.faults.director import FaultDirector
 from sitl_stub.faults.scenario import entry_from, scenario_from
-from sitl_stub.firmware.px4_modes import Mode as Px4Mode
+from sitl_stub.firmware.px4.modes import Mode as Px4Mode
 
 
 def with_faults(client: MemoryClient, *faults: dict[str, Any], seed: int = 0, **top: Any) -> MemoryClient:
@@ -48,7 +47,7 @@ def flying_ardupilot(*messages: str, **build: Any) -> MemoryClient:
     """In GUIDED at 5 m, these messages at 50 Hz."""
     client = ardupilot(**build)
     for name in messages:
-        client.command(511, getattr(mavlink, f"MAVLINK_MSG_ID_{name}"), 20_000)
+        client.command("SET_MESSAGE_INTERVAL", message_id(name), 20_000)
     client.in_the_air()
     client.take()
     client.advance(1.1)

@@ -7,12 +7,18 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from sitl_stub.firmware.px4 import Px4
-from sitl_stub.firmware.px4_build import build_px4
+from sitl_stub.firmware.px4.autopilot import Px4
+from sitl_stub.firmware.px4.build import build_px4
+from sitl_stub.firmware.px4.modes import Mode
 from sitl_stub.mavlink.codec import Received
 from sitl_stub.mavlink.links import MemoryLink
 
 LEVEL = [1.0, 0.0, 0.0, 0.0]
+
+
+def message_id(name: str) -> int:
+    """MAVLINK_MSG_ID_`name`."""
+    return int(getattr(mavlink, f"MAVLINK_MSG_ID_{name}"))
 
 
 class MemoryClient:
@@ -34,11 +40,16 @@ class MemoryClient:
         for decoded in self.link.reader.read_datagram(bytes(frame)):
             self.autopilot.handle(self.link, decoded)
 
-    def command(self, number: int, *params: float) -> list[int]:
-        """Results of the acknowledgements that came at once."""
+    def command(self, command: str | int, *params: float) -> list[int]:
+        """Results of the acknowledgements of MAV_CMD_`command` (a number where MAVLink has no name) that came at once."""
+        number = getattr(mavlink, f"MAV_CMD_{command}") if isinstance(command, str) else command
         filled = [*params, *([0.0] * (7 - len(params)))]
         self.send(mavlink.MAVLink_command_long_message(1, 1, number, 0, *filled))
         return [m.result for m in self.take("COMMAND_ACK") if m.command == number]
+
+    def set_mode(self, mode: Mode) -> list[int]:
+        """DO_SET_MODE of PX4's main and sub mode."""
+        return self.command("DO_SET_MODE", 1, mode.value.main, mode.value.sub)
 
     def attitude(
         self, thrust: float, q: list[float] | None = None, mask: int = 7, rates: Any = (0, 0, 0)
@@ -72,8 +83,8 @@ class MemoryClient:
         """Armed in offboard, hovering over the start by position setpoints."""
         self.advance(2.0)
         self.advance(0.5, every=lambda: self.position(0, 0, -height_m))
-        assert self.command(176, 1, 6) == [0, 0]
-        assert self.command(400, 1) == [0]
+        assert self.set_mode(Mode.OFFBOARD) == [0, 0]
+        assert self.command("COMPONENT_ARM_DISARM", 1) == [0]
         self.advance(8.0, every=lambda: self.position(0, 0, -height_m))
         assert abs(float(self.autopilot.core.state[2]) + height_m) < 0.2
 

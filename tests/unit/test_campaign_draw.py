@@ -16,7 +16,7 @@ from campaign.planted import DEFECTS, candidates
 from campaign.result import Result
 from campaign.tally import BLOCKS, Tally, put_between_markers, read_results
 from campaign.tape import ARMED, BOX_WIDTH, POSITION, QUATERNION, TIME, Tape
-from campaign.wire import armed_of, command_of, is_ours, mode_of, read_wire, setpoint_numbers
+from campaign.wire import ARM_DISARM, armed_of, command_of, is_ours, mode_of, read_wire, setpoint_numbers
 from campaign_evidence import OFFBOARD, command, heartbeat, setpoint
 
 from companion.flightlog.writer import FlightLog
@@ -84,8 +84,8 @@ def test_the_log_is_read_as_it_was_written(tmp_path: Path) -> None:
 
 
 def test_frames_are_taken_apart_as_the_library_puts_them_together() -> None:
-    assert command_of(command(1.0, 400, 1)).arms
-    assert not command_of(command(1.0, 400, 0)).arms
+    assert command_of(command(1.0, ARM_DISARM, 1)).arms
+    assert not command_of(command(1.0, ARM_DISARM, 0)).arms
     assert mode_of(heartbeat(1.0, OFFBOARD, True)) == OFFBOARD
     assert armed_of(heartbeat(1.0, OFFBOARD, False)) is False
     assert setpoint_numbers(setpoint(1.0, 0.25))[7] == 0.25

@@ -11,10 +11,13 @@ from campaign.evidence import Evidence, LogEvent
 from campaign.faults import Fault
 from campaign.invariants import INVARIANTS, KEPT, NOT_JUDGED, judge
 from campaign.tape import ARMED, POSITION, QUATERNION, VELOCITY
+from campaign.wire import ARM_DISARM, DO_SET_MODE
 from campaign_evidence import (
     END_S,
     LAND,
+    LAND_MODE,
     OFFBOARD,
+    OFFBOARD_MODE,
     OVER_S,
     PLAN,
     answers,
@@ -99,17 +102,19 @@ def test_a_single_glitch_of_a_stick_is_no_takeover() -> None:
 
 
 @pytest.mark.parametrize(
-    "asked", [command(OVER_S + 1.0, 176, 1, 6), command(OVER_S + 1.0, 400, 1)], ids=["mode", "arm"]
+    "asked",
+    [command(OVER_S + 1.0, DO_SET_MODE, 1, *OFFBOARD_MODE), command(OVER_S + 1.0, ARM_DISARM, 1)],
+    ids=["mode", "arm"],
 )
 def test_a_vehicle_that_is_taken_back_is_noticed(asked: object) -> None:
     assert said("never taken back", good(frames=[*flight_frames(), asked])) != KEPT
 
 
 def test_arming_before_our_mode_or_twice_is_noticed() -> None:
-    first = [command(0.5, 400, 1), *flight_frames()]
+    first = [command(0.5, ARM_DISARM, 1), *flight_frames()]
     assert "not ours" in said("no arming unasked", good(frames=first))
     frames = flight_frames()
-    frames.insert(100, command(10.0, 400, 1))
+    frames.insert(100, command(10.0, ARM_DISARM, 1))
     assert "armed before" in said("no arming unasked", good(frames=frames))
 
 
@@ -130,7 +135,7 @@ def test_a_fault_that_must_not_be_flown_with_ends_the_flight_in_time() -> None:
     frames = flight_frames()
     frames[200:200] = [announced(13.0, "fault: estimator_invalid on")]
     assert "since 13.00 s" in said("serious fault ends it", good(planned=plan, frames=frames))
-    frames[240:] = [command(14.0, 176, 1, 4, 6), setpoint(14.0)]
+    frames[240:] = [command(14.0, DO_SET_MODE, 1, *LAND_MODE), setpoint(14.0)]
     assert said("serious fault ends it", good(planned=plan, frames=frames)) == KEPT
     short = replace(PLAN, faults=(Fault("estimator_invalid", "airborne", 5.0, 0.5),))
     assert said("serious fault ends it", good(planned=short)) == NOT_JUDGED
@@ -152,7 +157,12 @@ def outside(until_s: float) -> Evidence:
 
 def test_control_that_goes_on_outside_the_fence_is_noticed() -> None:
     assert "setpoints until" in said("fence as seen", outside(12.0))
-    in_time = [*flight_frames()[:60], position(7.0, 2.5), command(7.1, 176, 1, 4, 6), setpoint(7.2)]
+    in_time = [
+        *flight_frames()[:60],
+        position(7.0, 2.5),
+        command(7.1, DO_SET_MODE, 1, *LAND_MODE),
+        setpoint(7.2),
+    ]
     assert said("fence as seen", good(frames=in_time)) == KEPT
 
 

@@ -19,9 +19,9 @@ from fault_client import (
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from stub_client import MemoryClient
 
-from sitl_stub.firmware import ardupilot_layout as at
-from sitl_stub.firmware.ardupilot_modes import Mode as ArduMode
-from sitl_stub.firmware.px4_modes import Mode as Px4Mode
+from sitl_stub.firmware.ardupilot import layout as at
+from sitl_stub.firmware.ardupilot.modes import Mode as ArduMode
+from sitl_stub.firmware.px4.modes import Mode as Px4Mode
 
 
 # --- clock --------------------------------------------------------------------------------------------------------
@@ -41,7 +41,7 @@ def test_clock_jump_is_in_time_stamps_and_timesync_and_goes_back_at_its_end() ->
 
 def test_clock_never_shows_less_than_nothing() -> None:
     client = ardupilot({"kind": "clock_jump", "at_s": 0.5, "jump_s": -100})
-    client.command(511, mavlink.MAVLINK_MSG_ID_ATTITUDE, 20_000)
+    client.command("SET_MESSAGE_INTERVAL", mavlink.MAVLINK_MSG_ID_ATTITUDE, 20_000)
     client.advance(1.0)
     assert client.last("ATTITUDE").time_boot_ms == 0
 
@@ -68,14 +68,14 @@ def test_stopped_streams_come_back_and_others_go_on() -> None:
 
 def test_reboot_in_flight_stops_rotors_and_time_begins_again() -> None:
     client = flying_px4()
-    client.command(511, mavlink.MAVLINK_MSG_ID_ATTITUDE, 4000)
+    client.command("SET_MESSAGE_INTERVAL", mavlink.MAVLINK_MSG_ID_ATTITUDE, 4000)
     client.send(mavlink.MAVLink_param_set_message(1, 1, b"MC_ROLL_P", 5.0, 9))
     client.take()
     inject(client, "reboot", silent_s=1.0)
     client.advance(0.01)
     assert [m.text for m in client.take("STATUSTEXT")] == ["fault: reboot"]
     client.advance(0.9)
-    assert client.command(400, 1) == [] and client.take() == []
+    assert client.command("COMPONENT_ARM_DISARM", 1) == [] and client.take() == []
     assert client.height_m < 2.0
     client.advance(0.3)
     seen = client.take("ATTITUDE")
@@ -86,7 +86,7 @@ def test_reboot_in_flight_stops_rotors_and_time_begins_again() -> None:
     assert client.height_m < 0.05
     assert client.autopilot.parameters["MC_ROLL_P"] == 5.0
     client.advance(3.0)
-    assert client.command(400, 1) == [0]  # it is ready as after any start
+    assert client.command("COMPONENT_ARM_DISARM", 1) == [0]  # it is ready as after any start
 
 
 def test_reboot_of_ardupilot_boots_through_all_its_stages() -> None:
@@ -95,7 +95,7 @@ def test_reboot_of_ardupilot_boots_through_all_its_stages() -> None:
     client.advance(0.5)
     client.take()
     client.advance(1.5)
-    assert not client.autopilot.armed and client.autopilot.mode is ArduMode.STABILIZE
+    assert not client.autopilot.armed and client.autopilot.state.mode is ArduMode.STABILIZE
     assert client.autopilot.core.memory[at.OUT_MOTORS] == 0.0
     said = texts(client)
     assert "ArduPilot Ready" in said and "EKF3 IMU0 is using GPS" in said
@@ -105,7 +105,7 @@ def test_reboot_of_ardupilot_boots_through_all_its_stages() -> None:
 # --- estimator ----------------------------------------------------------------------------------------------------
 def test_estimator_reset_jumps_counts_and_does_not_move_a_holding_vehicle() -> None:
     client = flying_px4()
-    client.command(176, 1, 4, 3)  # HOLD
+    client.set_mode(Px4Mode.LOITER)  # HOLD
     client.advance(1.0)
     before = client.last("ODOMETRY")
     truth = client.autopilot.core.state[:3].copy()
@@ -123,7 +123,7 @@ def test_estimator_reset_jumps_counts_and_does_not_move_a_holding_vehicle() -> N
 
 def test_estimator_reset_of_ardupilot_is_taken_along_too() -> None:
     client = flying_ardupilot("LOCAL_POSITION_NED")
-    assert client.command(176, 1, ArduMode.BRAKE.number) == [0]
+    assert client.command("DO_SET_MODE", 1, ArduMode.BRAKE.custom_mode) == [0]
     client.advance(2.0)
     before = client.last("LOCAL_POSITION_NED")
     truth = client.autopilot.core.state[:3].copy()
@@ -182,7 +182,7 @@ def test_invalid_flags_land_ardupilot_after_a_second() -> None:
     seen = client.take()
     assert not [m.flags for m in seen if m.name == "EKF_STATUS_REPORT"][-1] & 16
     assert len([m for m in seen if m.name == "LOCAL_POSITION_NED"]) <= 1
-    assert client.autopilot.mode is ArduMode.GUIDED
+    assert client.autopilot.state.mode is ArduMode.GUIDED
     client.advance(0.2)
     assert texts(client) == ["EKF variance", "EKF Failsafe: changed to LAND Mode"]
     client.advance(3.0)
@@ -196,7 +196,7 @@ def test_other_actions_on_a_lost_estimate(action: int) -> None:
     client = flying_ardupilot(parameters={"FS_EKF_ACTION": action})
     inject(client, "estimator_invalid", for_s=1.5)
     client.advance(1.4)
-    assert client.autopilot.mode is (ArduMode.GUIDED, None, ArduMode.ALT_HOLD)[action]
+    assert client.autopilot.state.mode is (ArduMode.GUIDED, None, ArduMode.ALT_HOLD)[action]
     client.advance(2.0)
     acted = ("EKF Failsafe", "", "EKF Failsafe: changed to ALT_HOLD Mode")[action]
     assert texts(client) == ["EKF variance", acted, "EKF Failsafe Cleared"]
@@ -234,9 +234,9 @@ def test_lost_gps_of_ardupilot_ends_in_its_failsafe() -> None:
     assert [m.fix_type for m in seen if m.name == "GPS_RAW_INT"][-1] == 1
     assert not [m for m in seen if m.name == "SYS_STATUS"][-1].onboard_control_sensors_health & 32
     client.advance(5.5)
-    assert client.autopilot.mode is ArduMode.GUIDED
+    assert client.autopilot.state.mode is ArduMode.GUIDED
     client.advance(2.0)  # 7 s until EKF3 gives the position up, one more until ArduCopter acts
-    assert client.autopilot.mode is ArduMode.LAND
+    assert client.autopilot.state.mode is ArduMode.LAND
     client.take()
     client.advance(7.0)
     assert texts(client) == ["EKF3 IMU0 stopped aiding", "EKF3 IMU1 stopped aiding"]
@@ -263,7 +263,7 @@ def test_pilot_takes_ardupilot_by_mode_and_holds_its_height() -> None:
     client = flying_ardupilot()
     inject(client, "pilot_mode", mode="ALT_HOLD")
     client.advance(3.0)
-    assert client.last("HEARTBEAT").custom_mode == ArduMode.ALT_HOLD.number
+    assert client.last("HEARTBEAT").custom_mode == ArduMode.ALT_HOLD.custom_mode
     assert client.height_m == pytest.approx(5.0, abs=0.2)
 
 
@@ -320,7 +320,7 @@ def test_kill_switch_stops_the_rotors_while_armed_and_px4_disarms_later() -> Non
     assert client.height_m < 0.1
     stay(client, 5.0)
     assert not client.last("HEARTBEAT").base_mode & 128
-    assert client.command(400, 1) == [1]
+    assert client.command("COMPONENT_ARM_DISARM", 1) == [1]
 
 
 def test_a_short_kill_lets_the_vehicle_go_on() -> None:

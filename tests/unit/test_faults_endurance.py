@@ -11,7 +11,7 @@ from fault_client import with_faults
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from stub_client import MemoryClient
+from stub_client import MemoryClient, message_id
 
 from sitl_stub.faults.fault import Parameter
 from sitl_stub.faults.registry import KINDS
@@ -60,12 +60,12 @@ def fly_through(client: MemoryClient, firmware: str, tables: list[dict[str, Any]
     target = Target(firmware, core.vehicle)
     with_faults(client, *(table for table in tables if taken(table, target)), seed=1)
     for name in ("ODOMETRY", "GPS_RAW_INT", "SYS_STATUS", "BATTERY_STATUS", "RC_CHANNELS", "HIGHRES_IMU"):
-        client.command(511, getattr(mavlink, f"MAVLINK_MSG_ID_{name}"), 20_000)
+        client.command("SET_MESSAGE_INTERVAL", message_id(name), 20_000)
     client.advance(1.2)
     for _ in range(round(FLIGHT_S / 0.2)):
-        client.command(176, 1, 6 if firmware == "px4" else 4)
-        client.command(400, 1)
-        client.command(22, 0, 0, 0, 0, 0, 0, 5)
+        client.command("DO_SET_MODE", 1, 6 if firmware == "px4" else 4)
+        client.command("COMPONENT_ARM_DISARM", 1)
+        client.command("NAV_TAKEOFF", 0, 0, 0, 0, 0, 0, 5)
         client.advance(0.2, every=lambda: client.position(0, 0, -3), period_s=0.04)
     client.send(mavlink.MAVLink_param_request_list_message(1, 1))
     faults_now = client.autopilot.faults
@@ -74,8 +74,8 @@ def fly_through(client: MemoryClient, firmware: str, tables: list[dict[str, Any]
     client.advance(0.2)
     assert np.isfinite(core.state[:60]).all() and np.isfinite(core.estimate).all()
     client.take()
-    if client.autopilot.uptime_us < 0:
-        client.advance(-client.autopilot.uptime_us * 1e-6 + 0.2)
+    if client.autopilot.clock.uptime_us < 0:
+        client.advance(-client.autopilot.clock.uptime_us * 1e-6 + 0.2)
     client.advance(1.1)
     assert "HEARTBEAT" in {message.name for message in client.take()}
 

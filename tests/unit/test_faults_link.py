@@ -10,6 +10,7 @@ from fault_client import inject, px4, with_faults
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from stub_client import MemoryClient
 
+from sitl_stub.firmware.px4.modes import Mode
 from sitl_stub.mavlink.codec import FrameReader
 
 ATTITUDE_S = 0.01
@@ -71,8 +72,8 @@ def test_lost_setpoints_end_in_the_offboard_failsafe() -> None:
     client = px4({"kind": "link_loss", "after": "airborne", "at_s": 6.0, "direction": "from_client"})
     client.advance(2.0)
     client.advance(0.5, every=lambda: client.position(0, 0, -3))
-    client.command(176, 1, 6)
-    client.command(400, 1)
+    client.set_mode(Mode.OFFBOARD)
+    client.command("COMPONENT_ARM_DISARM", 1)
     client.advance(10.0, every=lambda: client.position(0, 0, -3))
     modes = {m.custom_mode >> 16 & 0xFF for m in client.take("HEARTBEAT")[-2:]}
     assert modes == {4}  # AUTO: it returns
@@ -151,10 +152,10 @@ def test_truncated_frames_are_shorter_and_counted() -> None:
 def test_lost_acknowledgements_hide_a_command_that_was_obeyed() -> None:
     client = px4({"kind": "ack_loss", "for_s": 3.0})
     client.advance(2.0)
-    assert client.command(400, 1) == []
+    assert client.command("COMPONENT_ARM_DISARM", 1) == []
     assert client.autopilot.armed
     client.advance(2.0)
-    assert client.command(400, 0) == [0]
+    assert client.command("COMPONENT_ARM_DISARM", 0) == [0]
 
 
 def test_lost_parameters_leave_holes_that_a_read_fills() -> None:

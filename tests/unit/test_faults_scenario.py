@@ -16,6 +16,7 @@ from sitl_stub.cli import main
 from sitl_stub.faults.fault import FaultError
 from sitl_stub.faults.registry import KINDS, markdown_table
 from sitl_stub.faults.scenario import entry_from, read_scenario
+from sitl_stub.firmware.px4.modes import Mode
 
 WRONG = """
 sed = 3
@@ -129,7 +130,7 @@ def test_times_count_from_what_they_come_after() -> None:
     )
     said: list[tuple[float, str]] = []
     autopilot = client.autopilot
-    autopilot.on_text = lambda text: said.append((autopilot.time_us * 1e-6, text))
+    autopilot.voice.on_text = lambda text: said.append((autopilot.time_us * 1e-6, text))
     held: dict[str, float] = {}
 
     def look() -> None:
@@ -143,9 +144,9 @@ def test_times_count_from_what_they_come_after() -> None:
                 held.setdefault(name, autopilot.time_us * 1e-6)
 
     client.advance(1.5, every=look)
-    client.command(176, 1, 6)
+    client.set_mode(Mode.OFFBOARD)
     client.advance(1.0, every=look)
-    client.command(400, 1)
+    client.command("COMPONENT_ARM_DISARM", 1)
     client.advance(4.0, every=look, period_s=0.002)
     begun = {text.split()[1]: at for at, text in said if text.endswith(" on")}
     ended = {text.split()[1]: at for at, text in said if text.endswith(" off")}

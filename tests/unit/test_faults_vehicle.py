@@ -12,9 +12,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sitl_stub.faults.fault import FaultError
 from sitl_stub.faults.scenario import Target, entry_from, scenario_from
-from sitl_stub.firmware.ardupilot_modes import Mode as ArduMode
-from sitl_stub.firmware.px4_events import event_number
-from sitl_stub.firmware.px4_modes import Mode as Px4Mode
+from sitl_stub.firmware.ardupilot.modes import Mode as ArduMode
+from sitl_stub.firmware.px4.events import event_number
+from sitl_stub.firmware.px4.modes import Mode as Px4Mode
 from sitl_stub.physics import vehicle as body
 from sitl_stub.physics.vehicle import load_vehicle
 
@@ -104,7 +104,7 @@ def test_px4_may_be_told_only_to_warn_and_may_be_taken_back() -> None:
     inject(client, "battery_critical", remaining=0.06, for_s=8.0)
     stay(client, 6.0)
     assert px4_mode(client) is Px4Mode.RTL
-    assert client.command(176, 1, 6) == [0, 0]
+    assert client.set_mode(Px4Mode.OFFBOARD) == [0, 0]
     stay(client, 1.1)
     assert px4_mode(client) is Px4Mode.OFFBOARD
     stay(client, 2.5)
@@ -115,18 +115,18 @@ def test_battery_failsafe_of_ardupilot_after_its_timer() -> None:
     client = flying_ardupilot("SYS_STATUS", "BATTERY_STATUS", parameters={"BATT_FS_LOW_ACT": 1})
     inject(client, "battery_critical", remaining=0.05)
     client.advance(9.9)
-    assert client.autopilot.mode is ArduMode.GUIDED
+    assert client.autopilot.state.mode is ArduMode.GUIDED
     client.advance(0.3)
     seen = client.take()
     assert [m for m in seen if m.name == "SYS_STATUS"][-1].voltage_battery < 10_500
     assert [m for m in seen if m.name == "BATTERY_STATUS"][-1].charge_state == 2
     said = [m.text for m in seen if m.name == "STATUSTEXT" and not m.text.startswith("fault:")]
     assert said[0].startswith("Battery 1 is low ") and said[1:] == ["Battery Failsafe"]
-    assert client.autopilot.mode is ArduMode.LAND
+    assert client.autopilot.state.mode is ArduMode.LAND
     client.advance(20.0)
     assert not client.autopilot.armed
-    assert client.command(176, 1, ArduMode.GUIDED.number) == [0]
-    assert client.command(400, 1) == [4]
+    assert client.command("DO_SET_MODE", 1, ArduMode.GUIDED.custom_mode) == [0]
+    assert client.command("COMPONENT_ARM_DISARM", 1) == [4]
     client.advance(0.1)
     assert texts(client)[-2:] == ["Arm: Battery 1 low voltage failsafe", "Arm: Battery failsafe"]
 
@@ -137,13 +137,13 @@ def test_a_lost_ground_station_of_ardupilot() -> None:
     client.advance(3.0, every=lambda: client.send(beat))
     client.take()
     client.advance(4.9)
-    assert client.autopilot.mode is ArduMode.GUIDED
+    assert client.autopilot.state.mode is ArduMode.GUIDED
     client.advance(0.6)
-    assert client.autopilot.mode is ArduMode.RTL
+    assert client.autopilot.state.mode is ArduMode.RTL
     client.send(beat)
     client.advance(0.5)
     assert texts(client) == ["GCS Failsafe", "GCS Failsafe Cleared"]
-    assert client.autopilot.mode is ArduMode.RTL
+    assert client.autopilot.state.mode is ArduMode.RTL
 
 
 def test_sagging_battery_takes_thrust_and_gives_it_back() -> None:

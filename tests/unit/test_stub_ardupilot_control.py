@@ -10,11 +10,12 @@ from ardupilot_client import BRAKE, GUIDED, HOVER, LAND, LOITER, RTL, THRUST_AS_
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sitl_stub.firmware import ardupilot_layout as at
-from sitl_stub.firmware.ardupilot_build import ardupilot_parameters, build_ardupilot
-from sitl_stub.firmware.ardupilot_core import ArduPilotCore
-from sitl_stub.firmware.ardupilot_mixing import mix, motor_factors
-from sitl_stub.firmware.ardupilot_shaping import (
+from sitl_stub.firmware.ardupilot import layout as at
+from sitl_stub.firmware.ardupilot.build import build_ardupilot
+from sitl_stub.firmware.ardupilot.core import ArduPilotCore
+from sitl_stub.firmware.ardupilot.mixing import mix, motor_factors
+from sitl_stub.firmware.ardupilot.parameters import fitted_parameters
+from sitl_stub.firmware.ardupilot.shaping import (
     from_rotation_vector,
     inverse_sqrt_controller,
     multiply,
@@ -41,8 +42,8 @@ def flying() -> ArduPilotClient:
 def test_off_the_ground_2_7_seconds_after_arming_and_the_first_target() -> None:
     client = ArduPilotClient(parameters=THRUST_AS_THRUST)
     client.advance(2.0)
-    client.command(176, 1, GUIDED)
-    client.command(400, 1)
+    client.command("DO_SET_MODE", 1, GUIDED)
+    client.command("COMPONENT_ARM_DISARM", 1)
     start = client.autopilot.time_us
     while client.height_m < 0.02:
         client.attitude(0.48)
@@ -54,8 +55,8 @@ def test_off_the_ground_2_7_seconds_after_arming_and_the_first_target() -> None:
 def test_armed_without_a_target_it_disarms_after_ten_seconds() -> None:
     client = ArduPilotClient()
     client.advance(2.0)
-    client.command(176, 1, GUIDED)
-    client.command(400, 1)
+    client.command("DO_SET_MODE", 1, GUIDED)
+    client.command("COMPONENT_ARM_DISARM", 1)
     client.advance(9.8)
     assert client.autopilot.armed
     client.advance(0.4)
@@ -135,7 +136,7 @@ def test_angle_boost_multiplies_thrust_by_one_over_the_cosine(flying: ArduPilotC
     lean = 0.4
     q = [math.cos(lean / 2), math.sin(lean / 2), 0.0, 0.0]
     flying.autopilot.parameters.set("ATC_ANGLE_BOOST", boost)
-    flying.autopilot.parameters_changed()
+    flying.autopilot.core.use_parameters(flying.autopilot.parameters)
     flying.advance(1.0, every=lambda: flying.attitude(HOVER, q))
     given = float(flying.autopilot.core.memory[at.THROTTLE_OUT])
     assert given == pytest.approx(HOVER / math.cos(lean) if boost else HOVER, rel=0.01)
@@ -173,7 +174,7 @@ def test_position_target_is_reached_as_by_the_same_build() -> None:
 def test_land_comes_down_at_land_speed_and_disarms_two_seconds_after_touch_down(
     flying: ArduPilotClient,
 ) -> None:
-    flying.command(176, 1, LAND)
+    flying.command("DO_SET_MODE", 1, LAND)
     flying.advance(4.0)
     assert float(flying.autopilot.core.state[5]) == pytest.approx(0.5, abs=0.03)
     while flying.height_m > 0.005:
@@ -187,8 +188,8 @@ def test_land_comes_down_at_land_speed_and_disarms_two_seconds_after_touch_down(
 
 def test_a_landed_vehicle_held_off_its_place_gives_that_up(flying: ArduPilotClient) -> None:
     """The ground holds it, so the place goes to where it is, and the integral does not grow meanwhile."""
-    flying.command(176, 1, LAND)
-    while not flying.autopilot.maybe_landed:
+    flying.command("DO_SET_MODE", 1, LAND)
+    while not flying.autopilot.land_detector.maybe:
         flying.advance(0.02)
     memory = flying.autopilot.core.memory
     integral = float(memory[at.VELOCITY_INTEGRAL])
@@ -203,11 +204,11 @@ def test_a_landed_vehicle_held_off_its_place_gives_that_up(flying: ArduPilotClie
 
 def test_loiter_without_a_radio_comes_down_because_the_stick_is_down(flying: ArduPilotClient) -> None:
     """The capture fell 1.39 m in the first 1.4 s: a throttle at 1000 asks for PILOT_SPEED_UP downwards."""
-    flying.command(176, 1, LOITER)
+    flying.command("DO_SET_MODE", 1, LOITER)
     start = flying.height_m
     flying.advance(1.4)
     assert start - flying.height_m == pytest.approx(1.39, abs=0.15)
-    flying.autopilot.flight.sticks.throttle = 0.5
+    flying.autopilot.state.sticks.throttle = 0.5
     flying.advance(3.0)
     height = flying.height_m
     flying.advance(2.0)
@@ -216,7 +217,7 @@ def test_loiter_without_a_radio_comes_down_because_the_stick_is_down(flying: Ard
 
 def test_brake_stops_whatever_the_stick(flying: ArduPilotClient) -> None:
     flying.advance(1.5, every=lambda: flying.attitude(HOVER, ROLLED))
-    flying.command(176, 1, BRAKE)
+    flying.command("DO_SET_MODE", 1, BRAKE)
     flying.advance(4.0)
     assert float(np.linalg.norm(flying.autopilot.core.state[3:6])) < 0.1
 
@@ -226,7 +227,7 @@ def test_return_climbs_goes_home_waits_and_lands() -> None:
     client.in_the_air()
     client.position(6.0, 0.0, -5.0)
     client.advance(8.0)
-    client.command(176, 1, RTL)
+    client.command("DO_SET_MODE", 1, RTL)
     highest = 0.0
     for _ in range(700):
         client.advance(0.1)
@@ -261,7 +262,7 @@ def test_rotation_vectors_there_and_back(v: tuple[float, float, float]) -> None:
 def mixed(roll: float, pitch: float, yaw: float, throttle: float) -> tuple[np.ndarray, np.ndarray]:
     """Thrust of each motor of the capture's frame (0..1), and the memory, for one wish."""
     vehicle = load_vehicle("arducopter")
-    parameters = ardupilot_parameters(vehicle)
+    parameters = fitted_parameters(vehicle)
     parameters.set("MOT_THST_EXPO", 0.0)
     memory = np.zeros(at.MEMORY_SIZE)
     memory[at.SPOOL_STATE] = at.STATE_UNLIMITED
@@ -305,9 +306,7 @@ def test_yaw_gives_way_before_roll_and_pitch() -> None:
 
 
 def test_target_moves_with_the_acceleration_of_the_parameter() -> None:
-    core = ArduPilotCore(
-        load_vehicle("arducopter"), ardupilot_parameters(load_vehicle("arducopter")), "perfect"
-    )
+    core = ArduPilotCore(load_vehicle("arducopter"), fitted_parameters(load_vehicle("arducopter")), "perfect")
     core.setpoint[at.SPOOL] = at.SPOOL_UNLIMITED
     core.setpoint[at.LATERAL] = at.LATERAL_RATES
     core.setpoint[at.RATES] = 3.0
@@ -319,7 +318,7 @@ def test_target_moves_with_the_acceleration_of_the_parameter() -> None:
 def test_other_vehicles_turn_alike() -> None:
     def time_to_63_percent(name: str) -> float:
         vehicle = load_vehicle(name)
-        core = ArduPilotCore(vehicle, ardupilot_parameters(vehicle), "perfect")
+        core = ArduPilotCore(vehicle, fitted_parameters(vehicle), "perfect")
         s = core.setpoint
         ratio = vehicle.mass_kg * vehicle.gravity_m_s2 / float(vehicle.max_thrust_newton.sum())
         s[at.SPOOL], s[at.LATERAL], s[at.THRUST] = at.SPOOL_UNLIMITED, at.LATERAL_QUATERNION, 1.1 * ratio
@@ -340,9 +339,9 @@ def test_the_same_seed_gives_the_same_bits() -> None:
     def fly(seed: int) -> bytes:
         autopilot = build_ardupilot(estimator="mocap", seed=seed, ready_after_s=1.0)
         autopilot.advance_to(2_000_000)
-        autopilot.request_mode(GUIDED)
-        autopilot.request_arm(False)
-        autopilot.request_take_off(3.0)
+        autopilot.commander.request_mode(GUIDED)
+        autopilot.commander.request_arm(False)
+        autopilot.commander.request_take_off(3.0)
         autopilot.advance_to(8_000_000)
         return autopilot.core.state.tobytes()
 

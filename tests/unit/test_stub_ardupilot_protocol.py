@@ -22,12 +22,14 @@ from ardupilot_client import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from stub_client import message_id
 
-from sitl_stub.firmware.ardupilot_parameters import stock_parameters
+from sitl_stub.firmware.ardupilot.parameters import stock_parameters
 from sitl_stub.mavlink.codec import LAYOUTS, Received, unpack_payload
 
 ACCEPTED, DENIED, UNSUPPORTED, FAILED = 0, 2, 3, 4
-ATTITUDE, LOCAL_POSITION_NED, ODOMETRY, ESTIMATOR_STATUS, SIM_STATE, EKF_STATUS = 30, 32, 331, 230, 108, 193
+ATTITUDE, ODOMETRY, SIM_STATE = map(message_id, ("ATTITUDE", "ODOMETRY", "SIM_STATE"))
+ESTIMATOR_STATUS = message_id("ESTIMATOR_STATUS")
 
 
 def test_nothing_streams_until_asked() -> None:
@@ -46,7 +48,7 @@ def test_nothing_streams_until_asked() -> None:
 )
 def test_intervals_are_whole_milliseconds_and_three_is_the_least(hertz: float, result: int) -> None:
     client = ArduPilotClient()
-    assert client.command(511, ATTITUDE, 1e6 / hertz) == [result]
+    assert client.command("SET_MESSAGE_INTERVAL", ATTITUDE, 1e6 / hertz) == [result]
     client.take()
     client.advance(1.0)
     granted_ms = math.floor(1e3 / hertz)
@@ -58,24 +60,35 @@ def test_refused_rate_and_unknown_message_are_explained_after_the_answer() -> No
     client = ArduPilotClient()
     client.advance(1.0)
     client.take()
-    assert client.answers(511, ATTITUDE, 2500) == (
+    assert client.answers("SET_MESSAGE_INTERVAL", ATTITUDE, 2500) == (
         [DENIED],
         ["Requested rate for message ID 30 too fast. Increase SCHED_LOOP_RATE"],
     )
     for number in (ODOMETRY, ESTIMATOR_STATUS, 9999):
-        assert client.answers(511, number, 1e5) == ([DENIED], [f"No ap_message for mavlink id ({number})"])
-    assert client.command(511, ATTITUDE, -5) == [DENIED]
-    assert client.command(511, ATTITUDE, -1) == [ACCEPTED]
+        assert client.answers("SET_MESSAGE_INTERVAL", number, 1e5) == (
+            [DENIED],
+            [f"No ap_message for mavlink id ({number})"],
+        )
+    assert client.command("SET_MESSAGE_INTERVAL", ATTITUDE, -5) == [DENIED]
+    assert client.command("SET_MESSAGE_INTERVAL", ATTITUDE, -1) == [ACCEPTED]
 
 
 def test_interval_and_message_on_request() -> None:
     client = ArduPilotClient()
-    client.command(511, ATTITUDE, 4700)
-    client.send(mavlink.MAVLink_command_long_message(1, 1, 510, 0, ATTITUDE, 0, 0, 0, 0, 0, 0))
+    client.command("SET_MESSAGE_INTERVAL", ATTITUDE, 4700)
+    client.send(
+        mavlink.MAVLink_command_long_message(
+            1, 1, mavlink.MAV_CMD_GET_MESSAGE_INTERVAL, 0, ATTITUDE, 0, 0, 0, 0, 0, 0
+        )
+    )
     assert client.last("MESSAGE_INTERVAL").interval_us == 4000
-    assert client.command(510, ODOMETRY) == [FAILED]
-    assert client.command(512, ODOMETRY) == [FAILED]
-    client.send(mavlink.MAVLink_command_long_message(1, 1, 512, 0, 148, 0, 0, 0, 0, 0, 0))
+    assert client.command("GET_MESSAGE_INTERVAL", ODOMETRY) == [FAILED]
+    assert client.command("REQUEST_MESSAGE", ODOMETRY) == [FAILED]
+    client.send(
+        mavlink.MAVLink_command_long_message(
+            1, 1, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, message_id("AUTOPILOT_VERSION"), 0, 0, 0, 0, 0, 0
+        )
+    )
     version = client.last("AUTOPILOT_VERSION")
     assert (version.flight_sw_version >> 24, version.flight_sw_version >> 16 & 255) == (4, 7)
     assert bytes(version.flight_custom_version) == b"2598e9d4"
@@ -97,8 +110,8 @@ def test_request_data_stream_turns_groups_on_and_off() -> None:
 
 def test_readiness_comes_in_the_captures_order() -> None:
     client = ArduPilotClient(ready_after_s=42.0)
-    for number in (1, LOCAL_POSITION_NED, EKF_STATUS):
-        client.command(511, number, 1e5)
+    for number in map(message_id, ("SYS_STATUS", "LOCAL_POSITION_NED", "EKF_STATUS_REPORT")):
+        client.command("SET_MESSAGE_INTERVAL", number, 1e5)
     seen: dict[str, float] = {}
     flags = []
     while client.autopilot.time_us < 44e6:
@@ -123,16 +136,19 @@ def test_arming_too_early_is_refused_in_ardupilots_words() -> None:
     client = ArduPilotClient(ready_after_s=42.0)
     client.advance(10.9)
     client.take()
-    assert client.answers(400, 1) == ([FAILED], ["Arm: Accels inconsistent"])
-    assert client.answers(176, 1, GUIDED) == ([ACCEPTED], [])  # any mode on the ground
-    assert client.answers(400, 1) == ([FAILED], ["Arm: Accels inconsistent", "Arm: AHRS: waiting for home"])
+    assert client.answers("COMPONENT_ARM_DISARM", 1) == ([FAILED], ["Arm: Accels inconsistent"])
+    assert client.answers("DO_SET_MODE", 1, GUIDED) == ([ACCEPTED], [])  # any mode on the ground
+    assert client.answers("COMPONENT_ARM_DISARM", 1) == (
+        [FAILED],
+        ["Arm: Accels inconsistent", "Arm: AHRS: waiting for home"],
+    )
     client.advance(14.0)
     client.take()
-    assert client.answers(400, 1) == ([FAILED], ["Arm: Need Position Estimate"])
+    assert client.answers("COMPONENT_ARM_DISARM", 1) == ([FAILED], ["Arm: Need Position Estimate"])
     client.advance(6.0)
     assert client.texts()[-1] == "PreArm: Need Position Estimate"
-    assert client.answers(400, 0) == ([ACCEPTED], [])
-    assert client.answers(400, 2) == ([UNSUPPORTED], [])
+    assert client.answers("COMPONENT_ARM_DISARM", 0) == ([ACCEPTED], [])
+    assert client.answers("COMPONENT_ARM_DISARM", 2) == ([UNSUPPORTED], [])
 
 
 def test_modes_that_do_not_arm_say_so() -> None:
@@ -140,56 +156,59 @@ def test_modes_that_do_not_arm_say_so() -> None:
     client.advance(3.0)
     client.take()
     for number, name in ((RTL, "RTL"), (LAND, "LAND"), (BRAKE, "BRAKE")):
-        client.command(176, 1, number)
-        assert client.answers(400, 1) == ([FAILED], [f"Arm: {name} mode not armable"])
-    assert client.answers(176, 1, 99) == ([FAILED], ["No such mode 99"])
-    assert client.command(176, 0, GUIDED) == [DENIED]  # base mode without the custom bit
-    client.command(176, 1, GUIDED)
-    assert client.answers(400, 1) == ([ACCEPTED], ["Arming motors"])
+        client.command("DO_SET_MODE", 1, number)
+        assert client.answers("COMPONENT_ARM_DISARM", 1) == ([FAILED], [f"Arm: {name} mode not armable"])
+    assert client.answers("DO_SET_MODE", 1, 99) == ([FAILED], ["No such mode 99"])
+    assert client.command("DO_SET_MODE", 0, GUIDED) == [DENIED]  # base mode without the custom bit
+    client.command("DO_SET_MODE", 1, GUIDED)
+    assert client.answers("COMPONENT_ARM_DISARM", 1) == ([ACCEPTED], ["Arming motors"])
 
 
 def test_take_off_needs_arming_the_ground_and_a_way_up() -> None:
     client = ArduPilotClient()
     client.advance(2.0)
-    client.command(176, 1, GUIDED)
-    assert client.command(22, 0, 0, 0, 0, 0, 0, 5) == [FAILED]
-    client.command(400, 1)
-    assert client.command(22, 0, 0, 0, 0, 0, 0, -5) == [FAILED]
-    assert client.command(22, 0, 0, 0, 0, 0, 0, 5) == [ACCEPTED]
+    client.command("DO_SET_MODE", 1, GUIDED)
+    assert client.command("NAV_TAKEOFF", 0, 0, 0, 0, 0, 0, 5) == [FAILED]
+    client.command("COMPONENT_ARM_DISARM", 1)
+    assert client.command("NAV_TAKEOFF", 0, 0, 0, 0, 0, 0, -5) == [FAILED]
+    assert client.command("NAV_TAKEOFF", 0, 0, 0, 0, 0, 0, 5) == [ACCEPTED]
     client.advance(12.0)
-    assert client.command(22, 0, 0, 0, 0, 0, 0, 8) == [FAILED]
-    assert client.command(400, 0) == [FAILED]  # in the air
-    assert client.answers(176, 1, 3)[1][-1:] == ["Mode change to AUTO failed: init failed"]
-    assert client.command(400, 0, 21196) == [ACCEPTED]
+    assert client.command("NAV_TAKEOFF", 0, 0, 0, 0, 0, 0, 8) == [FAILED]
+    assert client.command("COMPONENT_ARM_DISARM", 0) == [FAILED]  # in the air
+    assert client.answers("DO_SET_MODE", 1, 3)[1][-1:] == ["Mode change to AUTO failed: init failed"]
+    assert client.command("COMPONENT_ARM_DISARM", 0, 21196) == [ACCEPTED]
     assert not client.autopilot.armed
 
 
 def test_mode_that_needs_a_position_is_refused_without_one_in_the_air() -> None:
     client = ArduPilotClient()
     client.in_the_air()
-    assert client.command(176, 1, GUIDED_NOGPS) == [ACCEPTED]
+    assert client.command("DO_SET_MODE", 1, GUIDED_NOGPS) == [ACCEPTED]
     client.autopilot.core.estimator.set_position_invalid(True)
     client.advance(0.1)
     client.take()
-    assert client.answers(176, 1, LOITER) == ([FAILED], ["Mode change to LOITER failed: requires position"])
-    assert client.command(176, 1, LAND) == [ACCEPTED]
+    assert client.answers("DO_SET_MODE", 1, LOITER) == (
+        [FAILED],
+        ["Mode change to LOITER failed: requires position"],
+    )
+    assert client.command("DO_SET_MODE", 1, LAND) == [ACCEPTED]
 
 
 def test_without_gps_guided_is_not_armed_and_guided_nogps_is() -> None:
     client = ArduPilotClient(parameters={"GPS1_TYPE": 0.0})
     client.advance(3.0)
     assert not [text for text in client.texts() if "GPS" in text]
-    assert client.command(176, 1, GUIDED) == [ACCEPTED]
-    assert client.answers(400, 1) == ([FAILED], ["Arm: AHRS: waiting for home"])
-    assert client.command(176, 1, GUIDED_NOGPS) == [ACCEPTED]
-    assert client.command(400, 1) == [ACCEPTED]
+    assert client.command("DO_SET_MODE", 1, GUIDED) == [ACCEPTED]
+    assert client.answers("COMPONENT_ARM_DISARM", 1) == ([FAILED], ["Arm: AHRS: waiting for home"])
+    assert client.command("DO_SET_MODE", 1, GUIDED_NOGPS) == [ACCEPTED]
+    assert client.command("COMPONENT_ARM_DISARM", 1) == [ACCEPTED]
 
 
 @pytest.mark.parametrize("mode", [0, LOITER, BRAKE])
 def test_targets_outside_guided_fall_silently(mode: int) -> None:
     client = ArduPilotClient(parameters=THRUST_AS_THRUST)
     client.in_the_air()
-    client.command(176, 1, mode)
+    client.command("DO_SET_MODE", 1, mode)
     client.advance(0.1)
     before = client.autopilot.core.setpoint.copy()
     client.take()
@@ -286,7 +305,7 @@ def test_an_integer_parameter_stays_within_its_width(value: float, name: str) ->
 def test_truth_is_sent_on_request_and_has_no_time() -> None:
     client = ArduPilotClient(parameters=THRUST_AS_THRUST)
     client.in_the_air()
-    assert client.command(511, SIM_STATE, 1e5) == [ACCEPTED]
+    assert client.command("SET_MESSAGE_INTERVAL", SIM_STATE, 1e5) == [ACCEPTED]
     client.advance(0.2)
     truth = client.last("SIM_STATE")
     assert "time_usec" not in truth.values and "time_boot_ms" not in truth.values
@@ -311,9 +330,19 @@ def test_broken_and_foreign_frames_do_nothing() -> None:
     client = ArduPilotClient()
     client.advance(1.0)
     client.take()
-    client.send(mavlink.MAVLink_command_long_message(7, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0))  # another system
-    client.send(mavlink.MAVLink_command_long_message(1, 1, 511, 0, math.nan, math.nan, 0, 0, 0, 0, 0))
-    client.send(mavlink.MAVLink_command_long_message(1, 1, 22, 0, 0, 0, 0, 0, 0, 0, math.inf))
+    client.send(
+        mavlink.MAVLink_command_long_message(
+            7, 1, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, 0, 0, 0, 0, 0, 0
+        )
+    )  # another system
+    client.send(
+        mavlink.MAVLink_command_long_message(
+            1, 1, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 0, math.nan, math.nan, 0, 0, 0, 0, 0
+        )
+    )
+    client.send(
+        mavlink.MAVLink_command_long_message(1, 1, mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 0, math.inf)
+    )
     assert not client.autopilot.armed
 
 
@@ -324,7 +353,7 @@ def test_any_numbers_in_any_message_are_survived() -> None:
     random = np.random.default_rng(5)
     floats = [0.0, 1.0, -1.0, 4.0, 0.5, 1e-30, 1e9, -1e9, 3e38, math.nan, math.inf, -math.inf]
     integers = [0, 1, 2, 4, 7, 9, 64, 128, 255, 400, 511, 2048, 3576, 65535, 2**31 - 1, -1]
-    commands = [*client.autopilot.commands, 31999]
+    commands = [*client.autopilot.command_protocol.handlers, 31999]
     names = [name for name in client.autopilot.messages if name not in ("PARAM_SET", "TIMESYNC")]
     for count in range(3000):
         layout = LAYOUTS[names[int(random.integers(len(names)))]]

@@ -99,7 +99,7 @@ def test_pymavlink_reads_what_it_packs(version: int, name: str, fields: dict[str
 
 
 def test_mavlink1_payload_lengths_are_pymavlinks_for_every_message_it_sends() -> None:
-    from sitl_stub.firmware.px4_build import build_px4
+    from sitl_stub.firmware.px4.build import build_px4
 
     for definition in build_px4().streams.definitions.values():
         layout = definition.layout

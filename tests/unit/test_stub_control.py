@@ -10,17 +10,17 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from sitl_stub.firmware import control_layout as at
-from sitl_stub.firmware.attitude_control import attitude_to_rates, filter_gyro, rates_to_torque
-from sitl_stub.firmware.mixing import full_torque_newton_metre, mix, mixer_matrix, transposed
-from sitl_stub.firmware.position_control import trajectory_to_attitude
-from sitl_stub.firmware.px4_build import px4_parameters
+from sitl_stub.firmware.px4 import layout as at
+from sitl_stub.firmware.px4.attitude_control import attitude_to_rates, filter_gyro, rates_to_torque
+from sitl_stub.firmware.px4.mixing import full_torque_newton_metre, mix, mixer_matrix, transposed
+from sitl_stub.firmware.px4.parameters import fitted_parameters
+from sitl_stub.firmware.px4.position_control import trajectory_to_attitude
 from sitl_stub.physics.vehicle import load_vehicle
 from sitl_stub.simulation import Simulation
 
 SQRT_HALF = math.sqrt(0.5)
 angle = st.floats(-1.2, 1.2)
-GAINS = at.gains_from_parameters(px4_parameters(load_vehicle("px4_sih")), np.ones(3))
+GAINS = at.gains_from_parameters(fitted_parameters(load_vehicle("px4_sih")), np.ones(3))
 
 
 def _wxyz(rotation: Rotation) -> np.ndarray:

@@ -19,7 +19,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 import sitl_stub.server as server_module
 from sitl_stub import Stub, StubError
-from sitl_stub.firmware.px4_build import build_px4
+from sitl_stub.firmware.px4.build import build_px4
 from sitl_stub.mavlink.udp import UdpPort
 
 

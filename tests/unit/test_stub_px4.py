@@ -8,12 +8,12 @@ import struct
 import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from stub_client import LEVEL, MemoryClient
+from stub_client import LEVEL, MemoryClient, message_id
 
-from sitl_stub.firmware import control_layout as at
-from sitl_stub.firmware.px4_build import build_px4
-from sitl_stub.firmware.px4_events import Event
-from sitl_stub.firmware.px4_modes import Mode
+from sitl_stub.firmware.px4 import layout as at
+from sitl_stub.firmware.px4.build import build_px4
+from sitl_stub.firmware.px4.events import Event
+from sitl_stub.firmware.px4.modes import Mode
 from sitl_stub.mavlink.codec import LAYOUTS, NEWER_MESSAGES
 from sitl_stub.physics.vehicle import IMPACT_SPEED
 
@@ -21,19 +21,19 @@ HOVER = 0.3658
 
 
 def _mode(client: MemoryClient) -> Mode:
-    return client.autopilot.commander.mode
+    return client.autopilot.state.mode
 
 
 # --- arming -------------------------------------------------------------------------------------------------------
 def test_arming_before_ready_and_without_setpoints_is_rejected_for_now() -> None:
     client = MemoryClient()
-    assert client.command(400, 1) == [1]
+    assert client.command("COMPONENT_ARM_DISARM", 1) == [1]
     client.advance(2.0)
-    assert client.command(176, 1, 6) == [0, 0]
-    assert client.command(400, 1) == [1]
+    assert client.set_mode(Mode.OFFBOARD) == [0, 0]
+    assert client.command("COMPONENT_ARM_DISARM", 1) == [1]
     assert not client.autopilot.armed
-    assert client.command(176, 1, 4, 3) == [0, 0]
-    assert client.command(400, 1) == [0]
+    assert client.set_mode(Mode.LOITER) == [0, 0]
+    assert client.command("COMPONENT_ARM_DISARM", 1) == [0]
     assert client.autopilot.armed
 
 
@@ -42,7 +42,7 @@ def test_prearm_bit_is_for_the_present_mode() -> None:
     bit = 1 << 28
     client.advance(2.0)
     assert client.last("SYS_STATUS").onboard_control_sensors_health & bit
-    client.command(176, 1, 6)
+    client.set_mode(Mode.OFFBOARD)
     client.advance(0.5)
     assert not client.last("SYS_STATUS").onboard_control_sensors_health & bit
     client.advance(0.5, every=lambda: client.attitude(0.0))
@@ -64,17 +64,17 @@ def test_events_have_the_numbers_of_the_capture() -> None:
 def test_forcing_skips_no_check_of_arming() -> None:
     client = MemoryClient()
     client.advance(2.0)
-    assert client.command(176, 1, 6) == [0, 0]
-    assert client.command(400, 1, 21196) == [1]
+    assert client.set_mode(Mode.OFFBOARD) == [0, 0]
+    assert client.command("COMPONENT_ARM_DISARM", 1, 21196) == [1]
     assert not client.autopilot.armed
 
 
 def test_disarming_in_the_air_needs_force() -> None:
     client = MemoryClient()
     client.in_the_air()
-    assert client.command(400, 0) == [1]
+    assert client.command("COMPONENT_ARM_DISARM", 0) == [1]
     assert client.autopilot.armed
-    assert client.command(400, 0, 21196) == [0]
+    assert client.command("COMPONENT_ARM_DISARM", 0, 21196) == [0]
     assert not client.autopilot.armed
 
 
@@ -82,8 +82,8 @@ def test_unknown_command_message_and_parameter() -> None:
     client = MemoryClient()
     client.advance(0.1)
     assert client.command(31999, 1) == [3]
-    assert client.command(511, 9999, 10000) == [4]
-    assert client.command(512, 9999) == [2]
+    assert client.command("SET_MESSAGE_INTERVAL", 9999, 10000) == [4]
+    assert client.command("REQUEST_MESSAGE", 9999) == [2]
     client.send(mavlink.MAVLink_param_request_read_message(1, 1, b"NO_SUCH_PARAM", -1))
     client.send(mavlink.MAVLink_param_set_message(1, 1, b"NO_SUCH_PARAM", 1.0, 9))
     assert client.take("PARAM_VALUE") == []
@@ -92,8 +92,16 @@ def test_unknown_command_message_and_parameter() -> None:
 def test_messages_for_others_are_not_obeyed() -> None:
     client = MemoryClient()
     client.advance(2.0)
-    client.send(mavlink.MAVLink_command_long_message(2, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0))
-    client.send(mavlink.MAVLink_command_long_message(1, 25, 400, 0, 1, 0, 0, 0, 0, 0, 0))
+    client.send(
+        mavlink.MAVLink_command_long_message(
+            2, 1, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, 0, 0, 0, 0, 0, 0
+        )
+    )
+    client.send(
+        mavlink.MAVLink_command_long_message(
+            1, 25, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, 0, 0, 0, 0, 0, 0
+        )
+    )
     assert client.take("COMMAND_ACK") == []
     assert not client.autopilot.armed
 
@@ -101,7 +109,7 @@ def test_messages_for_others_are_not_obeyed() -> None:
 def test_armed_and_never_taken_off_disarms_after_its_time() -> None:
     client = MemoryClient(parameters={"COM_DISARM_PRFLT": 3.0})
     client.advance(2.0)
-    assert client.command(400, 1) == [0]
+    assert client.command("COMPONENT_ARM_DISARM", 1) == [0]
     client.advance(2.9)
     assert client.autopilot.armed
     client.advance(0.2)
@@ -161,7 +169,7 @@ def test_rates_meet_the_attitude_loop_until_the_mode_is_published() -> None:
     client = MemoryClient(estimator="perfect")
     client.in_the_air()
     client.advance(1.2, every=lambda: client.attitude(HOVER), period_s=0.01)
-    while client.autopilot.time_us - client.autopilot._latched_us != 0:
+    while client.autopilot.time_us - client.autopilot.control.latched_us != 0:
         client.attitude(HOVER)
         client.autopilot.step()
     rates: list[float] = []
@@ -201,9 +209,9 @@ def test_actuator_controls_work_on_the_old_firmware_only(firmware: str) -> None:
         )
 
     client.advance(1.0, every=controls)
-    client.command(176, 1, 6)
+    client.set_mode(Mode.OFFBOARD)
     old = firmware == "px4-1.13"
-    assert client.command(400, 1) == [0 if old else 1]
+    assert client.command("COMPONENT_ARM_DISARM", 1) == [0 if old else 1]
     client.advance(0.5, every=controls)
     np.testing.assert_allclose(client.autopilot.core.motors[:4], 0.2 if old else 0.0, atol=1e-9)
     assert client.autopilot.version.flight_sw_version == (0x010D03FF if old else 0x011100FF)
@@ -230,21 +238,34 @@ def test_velocity_setpoint_in_the_heading_frame() -> None:
 def test_take_off_hold_return_land_and_disarm_by_its_own_modes() -> None:
     client = MemoryClient(parameters={"RTL_RETURN_ALT": 6.0, "RTL_DESCEND_ALT": 4.0})
     client.advance(2.0)
-    assert client.command(400, 1) == [0]
-    assert client.command(22, 0, 0, 0, math.nan, 0, 0, 0) == [0]
+    assert client.command("COMPONENT_ARM_DISARM", 1) == [0]
+    assert client.command("NAV_TAKEOFF", 0, 0, 0, math.nan, 0, 0, 0) == [0]
     client.advance(12.0)
     assert _mode(client) is Mode.LOITER
     assert client.height_m == pytest.approx(client.autopilot.parameters["MIS_TAKEOFF_ALT"], abs=0.35)
     states = [m.landed_state for m in client.take("EXTENDED_SYS_STATE")]
     assert [s for i, s in enumerate(states) if i == 0 or s != states[i - 1]] == [1, 3, 2]
-    target = client.autopilot.say_messages.origin.globe_e7(5.0, -3.0)
+    target = client.autopilot.state.origin.globe_e7(5.0, -3.0)
     client.send(
-        mavlink.MAVLink_command_int_message(1, 1, 6, 192, 0, 0, -1, 0, 0, math.nan, *target, math.nan)
+        mavlink.MAVLink_command_int_message(
+            1,
+            1,
+            mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
+            mavlink.MAV_CMD_DO_REPOSITION,
+            0,
+            0,
+            -1,
+            0,
+            0,
+            math.nan,
+            *target,
+            math.nan,
+        )
     )
     assert client.last("COMMAND_ACK").result == 0
     client.advance(12.0)
     np.testing.assert_allclose(client.autopilot.core.state[:2], [5.0, -3.0], atol=0.3)
-    assert client.command(176, 1, 4, 5) == [0, 0]
+    assert client.set_mode(Mode.RTL) == [0, 0]
     client.advance(60.0)
     assert not client.autopilot.armed
     np.testing.assert_allclose(client.autopilot.core.state[:2], [0.0, 0.0], atol=0.5)
@@ -254,7 +275,7 @@ def test_take_off_hold_return_land_and_disarm_by_its_own_modes() -> None:
 def test_landing_from_offboard_ends_disarmed_in_offboard_as_in_the_capture() -> None:
     client = MemoryClient()
     client.in_the_air()
-    assert client.command(176, 1, 4, 6) == [0, 0]
+    assert client.set_mode(Mode.LAND) == [0, 0]
     client.advance(15.0)
     assert not client.autopilot.armed
     assert abs(client.height_m) < 0.02
@@ -265,14 +286,14 @@ def test_landing_from_offboard_ends_disarmed_in_offboard_as_in_the_capture() -> 
 def test_sticks_are_needed_for_position_mode_and_move_the_vehicle() -> None:
     client = MemoryClient(parameters={"COM_RC_IN_MODE": 1}, estimator="perfect")
     client.in_the_air()
-    assert client.command(176, 1, 3) == [0, 1]  # none there yet
+    assert client.set_mode(Mode.POSCTL) == [0, 1]  # none there yet
     assert _mode(client) is Mode.OFFBOARD
 
     def sticks(x: int) -> None:
         client.send(mavlink.MAVLink_manual_control_message(1, x, 0, 500, 0, 0))
 
     sticks(0)
-    assert client.command(176, 1, 3) == [0, 0]
+    assert client.set_mode(Mode.POSCTL) == [0, 0]
     client.advance(2.0, every=lambda: sticks(0))
     still = float(client.autopilot.core.state[0])
     client.advance(2.0, every=lambda: sticks(300))
@@ -293,7 +314,7 @@ def test_other_stick_modes_lean_to_the_stick(mode: Mode) -> None:
         client.send(mavlink.MAVLink_manual_control_message(1, 0, 200, throttle, 0, 0))
 
     sticks()
-    assert client.command(176, 1, mode.value.main) == [0, 0]
+    assert client.command("DO_SET_MODE", 1, mode.value.main) == [0, 0]
     client.advance(0.5, every=sticks)
     roll = 2 * float(client.autopilot.core.state[7])
     assert 0.05 < roll < 0.4
@@ -357,8 +378,9 @@ def test_hash_follows_values() -> None:
 def test_intervals_are_kept_and_position_comes_before_attitude() -> None:
     client = MemoryClient()
     client.advance(1.0)
-    for message_id, interval in ((31, 4000), (32, 4000), (115, 4000), (30, -1)):
-        assert client.command(511, message_id, interval) == [0]
+    quick = ("ATTITUDE_QUATERNION", "LOCAL_POSITION_NED", "HIL_STATE_QUATERNION")
+    for name, interval in (*((name, 4000) for name in quick), ("ATTITUDE", -1)):
+        assert client.command("SET_MESSAGE_INTERVAL", message_id(name), interval) == [0]
     client.take()
     client.advance(2.0)
     messages = client.take()
@@ -367,11 +389,15 @@ def test_intervals_are_kept_and_position_comes_before_attitude() -> None:
     assert names.count("HIL_STATE_QUATERNION") == 500 and "ATTITUDE" not in names
     pairs = [n for n in names if n in ("LOCAL_POSITION_NED", "ATTITUDE_QUATERNION")]
     assert pairs == ["LOCAL_POSITION_NED", "ATTITUDE_QUATERNION"] * 500
-    assert client.command(511, 31, 0) == [0]
+    assert client.command("SET_MESSAGE_INTERVAL", message_id("ATTITUDE_QUATERNION"), 0) == [0]
     client.advance(2.0)
     assert [m.name for m in client.take()].count("ATTITUDE_QUATERNION") == pytest.approx(100, abs=1)
-    client.command(510, 32)
-    client.send(mavlink.MAVLink_command_long_message(1, 1, 510, 0, 32, 0, 0, 0, 0, 0, 0))
+    client.command("GET_MESSAGE_INTERVAL", message_id("LOCAL_POSITION_NED"))
+    client.send(
+        mavlink.MAVLink_command_long_message(
+            1, 1, mavlink.MAV_CMD_GET_MESSAGE_INTERVAL, 0, message_id("LOCAL_POSITION_NED"), 0, 0, 0, 0, 0, 0
+        )
+    )
     assert client.last("MESSAGE_INTERVAL").interval_us == 4000
 
 
@@ -379,10 +405,18 @@ def test_requested_messages_come_at_once() -> None:
     client = MemoryClient()
     client.advance(2.0)
     client.take()
-    client.send(mavlink.MAVLink_command_long_message(1, 1, 512, 0, 148, 0, 0, 0, 0, 0, 0))
+    client.send(
+        mavlink.MAVLink_command_long_message(
+            1, 1, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, message_id("AUTOPILOT_VERSION"), 0, 0, 0, 0, 0, 0
+        )
+    )
     names = [m.name for m in client.take()]
     assert names == ["AUTOPILOT_VERSION", "COMMAND_ACK"]
-    client.send(mavlink.MAVLink_command_long_message(1, 1, 512, 0, 49, 0, 0, 0, 0, 0, 0))
+    client.send(
+        mavlink.MAVLink_command_long_message(
+            1, 1, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, message_id("GPS_GLOBAL_ORIGIN"), 0, 0, 0, 0, 0, 0
+        )
+    )
     origin = client.take("GPS_GLOBAL_ORIGIN")[0]
     assert origin.latitude == pytest.approx(473977432, abs=2)
 
@@ -415,10 +449,10 @@ def test_timesync_both_ways_and_ping() -> None:
 def test_truth_is_the_truth() -> None:
     client = MemoryClient(estimator="gps")
     client.advance(5.0)
-    client.command(511, 115, 100000)
+    client.command("SET_MESSAGE_INTERVAL", message_id("HIL_STATE_QUATERNION"), 100000)
     client.advance(0.5)
     truth = client.last("HIL_STATE_QUATERNION")
-    origin = client.autopilot.say_messages.origin
+    origin = client.autopilot.state.origin
     assert (truth.lat, truth.lon) == origin.globe_e7(0.0, 0.0)
     assert list(truth.attitude_quaternion) == [1, 0, 0, 0]
     assert client.autopilot.core.position_ned[0] != 0.0
@@ -427,13 +461,13 @@ def test_truth_is_the_truth() -> None:
 def test_every_message_it_can_send_can_be_read_by_pymavlink() -> None:
     client = MemoryClient(firmware="px4-1.13")
     client.advance(2.0)
-    for message_id, definition in client.autopilot.streams.definitions.items():
+    for number, definition in client.autopilot.streams.definitions.items():
         values = definition.build(client.link)
         if values is None or definition.layout.name in NEWER_MESSAGES:
             continue
         frame = client.link.writer.frame(definition.layout, values)
         decoded = mavlink.MAVLink(None).decode(bytearray(frame))
-        assert decoded.get_msgId() == message_id
+        assert decoded.get_msgId() == number
         assert len(values) == len(
             LAYOUTS[definition.layout.name].packer.unpack(bytes(definition.layout.packer.size))
         )

@@ -78,7 +78,7 @@ def test_remote_identification_follows_the_flight() -> None:
     messages = client.take()
     location = [m for m in messages if m.name == "OPEN_DRONE_ID_LOCATION"][-1]
     operator = [m for m in messages if m.name == "OPEN_DRONE_ID_SYSTEM"][-1]
-    origin = client.autopilot.say_messages.origin
+    origin = client.autopilot.state.origin
     assert (operator.operator_latitude, operator.operator_longitude) == origin.globe_e7(0.0, 0.0)
     assert operator.area_count == 1
     assert location.status == 2
