@@ -220,7 +220,8 @@ class Vehicle:
 
     def _hear_texts(self, texts: list[StatusText]) -> None:
         for each in texts:
-            message = mav.MAVLink_statustext_message(each.severity, each.text.encode())
+            message = mav.MAVLink_statustext_message(each.severity, b"")
+            message.text = each.text  # in UTF-8, of which pymavlink would leave the ASCII characters only
             self.status.take(message)
             self.on_message(message)
 
