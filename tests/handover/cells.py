@@ -42,8 +42,6 @@ class End:
     phases: tuple[str, ...] = tuple(MIDDLE_S)
     """Where it can happen."""
     needs_stub: bool = False
-    drops: tuple[str, int] | None = None
-    """Frames that are lost: `mode` or `ack`, and how many."""
     falls: bool = False
     """Motors stop, or somebody else flies: tilt and sink rate are not ours."""
 
@@ -61,10 +59,10 @@ ENDS: dict[str, End] = {
     "supervisor hands back": End(("handed back", "aborted"), SUPERVISED),
     "law refuses": End(("aborted",), FLOWN_BY_LAW),
     "exception in the law": End(("aborted",), FLOWN_BY_LAW),
-    "mode frame lost once": End(_STOP, drops=("mode", 1)),
-    "mode frame lost three times": End(_STOP, drops=("mode", 3)),
-    "hold frame lost three times": End(("handed back", "aborted"), SUPERVISED, drops=("mode", 3)),
-    "ack lost": End(_STOP, drops=("ack", 1000)),
+    "mode frame lost once": End(_STOP),
+    "mode frame lost three times": End(_STOP),
+    "hold frame lost three times": End(("handed back", "aborted"), SUPERVISED),
+    "ack lost": End(_STOP),
     "link lost": End(("link lost",)),
     "link lost and back": End(("link lost",)),
     "killed and started again": End(("killed",), needs_stub=True),

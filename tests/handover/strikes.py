@@ -16,6 +16,8 @@ SILENCE_S = 0.4
 """`flight.safety.silence_s` of cells whose link is lost, our clock: a simulation goes on meanwhile."""
 OUTAGE_S = 1.5
 """How long a link that comes back is away, our clock."""
+HOLDS_S = 4.0
+"""How long the supervisor's hold lasts before it lands, simulated."""
 _TWICE_S = 0.6
 _DO_SET_MODE, _ARM_DISARM, _COMMAND_ACK, _TIMESYNC, _COMMAND_LONG = 176, 400, 77, 111, 76
 ORDERS = {
@@ -148,9 +150,14 @@ class Strike:
         from companion.flight.supervisor import Supervisor
 
         judge = Supervisor.judge
+        began_s: list[float] = []
 
-        def judged(*given: Any, **named: Any) -> Any:
-            return judge(*given, **named)._replace(reaction=Reaction[reaction], reason="by the matrix")
+        def judged(supervisor: Any, state: Any, *given: Any, **named: Any) -> Any:
+            began_s.append(state.time_s)
+            held = state.time_s - began_s[0] > HOLDS_S
+            wanted = Reaction.LAND if held and reaction == "HOLD" else Reaction[reaction]
+            judgement = judge(supervisor, state, *given, **named)
+            return judgement._replace(reaction=wanted, reason="by the matrix")
 
         Supervisor.judge = judged  # type: ignore[method-assign]
 
