@@ -8,17 +8,20 @@ memory, bit for bit. Where it does not, the code, numba or the processor's arith
 from __future__ import annotations
 
 import json
+import tempfile
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from companion.config.errors import UserError
 from companion.config.settings import Settings, settings_from_tables
 from companion.control.law import ControlLaw, StepRefused
+from companion.control.laws import LAWS, load_law_file
 from companion.control.packing import INPUT, TERMS, Memory, memory_dtype
 from companion.control.registry import build_law
 from companion.flightlog.channels import packed_channel
-from companion.flightlog.law_channels import INPUT_TOPIC, MEMORY_TOPIC, TERMS_TOPIC
+from companion.flightlog.law_channels import INPUT_TOPIC, LAW_TEXT, MEMORY_TOPIC, TERMS_TOPIC
 from companion.flightlog.reader import FlightRecord, NumericChannel
 
 AUTOPILOTS = {"px4": "px4", "ardu": "ardupilot"}
@@ -52,8 +55,12 @@ class Replay:
         return self.steps > 0 and self.identical == self.steps
 
 
-def law_of(record: FlightRecord) -> ControlLaw:
-    """Build the control law a flight was flown with. Raises UserError where the log does not hold its settings."""
+def law_of(record: FlightRecord, law_file: Path | None = None, run_law_in_log: bool = False) -> ControlLaw:
+    """Build the control law a flight was flown with.
+
+    A law of somebody's own is a program: it is taken from `law_file`, and from the log only where `run_law_in_log` says so.
+    Raises UserError where the log does not hold its settings, or such a law is not given.
+    """
     text = record.attachments.get("settings.json")
     if text is None:
         raise UserError(f"{record.path}: no settings.json in this log, so its steps cannot be repeated")
@@ -61,12 +68,32 @@ def law_of(record: FlightRecord) -> ControlLaw:
         settings: Settings = settings_from_tables(json.loads(text))
     except (ValueError, KeyError, TypeError) as error:
         raise UserError(f"{record.path}: the settings in this log cannot be read: {error}") from error
+    _know_law(record, settings.flight.controller, law_file, run_law_in_log)
     firmware = record.flight.get("firmware", "").lower()
     autopilot = next((key for start, key in AUTOPILOTS.items() if firmware.startswith(start)), None)
     flight = settings.flight
     return build_law(
         flight.controller, settings.gains, settings.profile, settings.level, flight.seed, autopilot=autopilot
     )
+
+
+def _know_law(record: FlightRecord, name: str, law_file: Path | None, run_law_in_log: bool) -> None:
+    """Make the law known that a flight was flown with, where it is none of ours."""
+    text = record.attachments.get(LAW_TEXT)
+    if name in LAWS or (text is None and law_file is None):
+        return
+    if law_file is not None:
+        load_law_file(law_file)
+        return
+    if not run_law_in_log:
+        raise UserError(
+            f"{record.path}: flown with {name}, a law of somebody's own. Its text is in this log; give its file with "
+            "--law, or let that text run with --run-law-in-log if you trust where the log comes from"
+        )
+    with tempfile.TemporaryDirectory() as folder:
+        kept = Path(folder) / f"{name}.py"
+        kept.write_bytes(text or b"")
+        load_law_file(kept)
 
 
 def replay(record: FlightRecord, law: ControlLaw | None = None, most_mismatches: int = 10) -> Replay:

@@ -7,10 +7,13 @@ from __future__ import annotations
 
 import argparse
 import json
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from companion.cli.fly import add_link_options, connection_from, pose_address
 from companion.config.errors import UserError
+
+if TYPE_CHECKING:
+    from companion.autopilot.adapter import Finding
 
 EPILOG = """examples:
   companion check --endpoint /dev/ttyACM0,921600 --profile my_drone.toml
@@ -47,9 +50,8 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--json", action="store_true", help="print JSON instead of the table")
 
 
-def run(arguments: argparse.Namespace) -> int:
-    """Check and print. Raises UserError for wrong input or an autopilot that is not there."""
-    from companion.autopilot.adapter import Verdict
+def findings_of(arguments: argparse.Namespace) -> tuple[list[Finding], list[tuple[str, float, float]]]:
+    """What is found, and what was set. Raises UserError for wrong input or an autopilot that is not there."""
     from companion.cli.console import ConsoleReporter
     from companion.config.settings import load_settings
     from companion.flight.outcome import FlightEnd
@@ -60,9 +62,16 @@ def run(arguments: argparse.Namespace) -> int:
     reporter = ConsoleReporter()
     try:
         connection = connection_from(arguments, arguments.endpoint)
-        findings, changed = check(settings, connection, reporter, arguments.fix, poses)
+        return check(settings, connection, reporter, arguments.fix, poses)
     except FlightEnd as end:
         raise UserError(f"endpoint {arguments.endpoint}: {end}") from None
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Check and print. Raises UserError as `findings_of`."""
+    from companion.autopilot.adapter import Verdict
+
+    findings, changed = findings_of(arguments)
     refused = any(finding.verdict is Verdict.REFUSAL for finding in findings)
     if arguments.json:
         rows = [
@@ -82,7 +91,7 @@ def run(arguments: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(title=f"level {arguments.level}, profile {settings.profile.name}", title_justify="left")
+    table = Table(title=f"level {arguments.level}, profile {arguments.profile}", title_justify="left")
     for heading in ("", "what", "found", "why it matters", "what mends it"):
         table.add_column(heading, overflow="fold")
     colours = {Verdict.OK: "green", Verdict.WARNING: "yellow", Verdict.REFUSAL: "bold red"}

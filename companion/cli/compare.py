@@ -90,7 +90,7 @@ def _fly_all(arguments: argparse.Namespace) -> tuple[list[Path], int]:
     logs: list[Path] = []
     for number, (seed, controller) in enumerate(flights, start=1):
         print(f"== flight {number} of {len(flights)}: {controller}, seed {seed}", file=sys.stderr)
-        log = folder / f"{controller}-{arguments.level}-seed{seed}.mcap"
+        log = folder / f"{Path(controller).stem}-{arguments.level}-seed{seed}.mcap"
         outcome, _text, code = fly_once(arguments, controller, seed, log, overwrite=True)
         if code == 2:
             raise UserError(f"{controller}, seed {seed}, was refused; nothing to compare")

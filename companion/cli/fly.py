@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from companion.config.errors import UserError
+from companion.control.laws import LAWS, load_law_file
 
 if TYPE_CHECKING:
     from companion.mavlink.connection import Connection
@@ -43,7 +44,10 @@ def add_parser(subparsers: Any) -> None:
     )
     add_flight_options(parser)
     parser.add_argument(
-        "--controller", default="dtlannc", metavar="NAME", help="control law: dtlannc, tlmbc, nnsmc"
+        "--controller",
+        default="dtlannc",
+        metavar="NAME|FILE.py",
+        help=f"control law: {', '.join(LAWS)}, or the file of your own",
     )
     parser.add_argument(
         "--seed", type=int, default=1, metavar="N", help="draws the networks, and the stub's noise"
@@ -160,12 +164,7 @@ def _pose_rate(rate_hz: float) -> float:
 
 def run(arguments: argparse.Namespace) -> int:
     """Fly once. Raises UserError for wrong input."""
-    log_path = (
-        Path(arguments.log) if arguments.log else default_log_path(arguments.controller, arguments.level)
-    )
-    claimed = not arguments.log
-    if claimed:
-        log_path = claim(log_path, lambda path: path.touch(exist_ok=False))
+    log_path, claimed = log_path_of(arguments, arguments.log)
     report = _report_path(arguments.report, log_path)
     try:
         if report is not None:
@@ -178,6 +177,14 @@ def run(arguments: argparse.Namespace) -> int:
             log_path.unlink()
     _show(log_path, report, arguments.json, outcome, text)
     return code
+
+
+def log_path_of(arguments: argparse.Namespace, given: str | None) -> tuple[Path, bool]:
+    """Where the log goes, and whether that is a new file of ours, made here. Raises UserError where none can be made."""
+    if given:
+        return Path(given), False
+    new = default_log_path(Path(arguments.controller).stem, arguments.level)
+    return claim(new, lambda path: path.touch(exist_ok=False)), True
 
 
 def default_log_path(controller: str, level: str) -> Path:
@@ -237,6 +244,11 @@ def fly_once(
     from companion.flight.session import SessionOptions, fly
     from companion.reference.registry import trajectory_from_text
 
+    law_text = ""
+    if controller.endswith(".py"):
+        law_file = Path(controller)
+        controller = load_law_file(law_file)
+        law_text = law_file.read_text(encoding="utf-8")
     settings = load_settings(
         arguments.profile,
         {
@@ -271,6 +283,7 @@ def fly_once(
             command_line=shlex.join(sys.argv),
             outside_poses=pose_address(arguments.outside_poses),
             pose_rate_hz=_pose_rate(arguments.pose_rate),
+            law_text=law_text,
         )
         try:
             result = fly(settings, options, reporter)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from pathlib import Path
 from typing import Any
 
 EXAMPLE = """example:
@@ -23,16 +24,22 @@ def add_parser(subparsers: Any) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("log", metavar="LOG", help="a flight's MCAP file, whole or cut")
+    parser.add_argument("--law", metavar="FILE.py", help="the law that flew, where it is one of your own")
+    parser.add_argument(
+        "--run-law-in-log", action="store_true", help="run the text of such a law that the log holds"
+    )
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Replay and say what came out. Raises UserError where the log does not hold what a replay needs."""
-    from companion.analysis.replay import replay
+    from companion.analysis.replay import law_of, replay
     from companion.flightlog.reader import read_log
 
-    found = replay(read_log(arguments.log))
+    record = read_log(arguments.log)
+    law_file = Path(arguments.law) if arguments.law else None
+    found = replay(record, law_of(record, law_file, arguments.run_law_in_log))
     if arguments.json:
         mismatches = [
             {"step": item.step, "time_s": item.time_s, "fields": item.fields} for item in found.mismatches

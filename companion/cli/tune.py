@@ -84,7 +84,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.budget < 1 or arguments.seed < 0 or not 0.0 <= arguments.delay <= 0.5:
         raise UserError("--budget must be 1 or more, --seed not negative, --delay between 0 and 0.5 s")
     from companion.config.settings import load_profile, select_gains
-    from companion.control.registry import LAWS
+    from companion.control.laws import LAWS
     from companion.tuning.flight import PlantChoice
     from companion.tuning.objective import Objective
     from companion.tuning.session import Tuning

@@ -21,6 +21,10 @@ DEFAULT_RATE_HZ: dict[LevelName, float] = {"attitude": 100.0, "body_rate": 250.0
 """Control rates whose periods are whole milliseconds, as ArduPilot wants them, and multiples of PX4's 4 ms (simulated)."""
 
 
+GAINS_OF: dict[str, str] = {}
+"""Laws of one's own (`companion.register_law`) → the law whose gains they take where a profile has none for them."""
+
+
 class FlightSettings(SettingsModel):
     """What is flown, and how often the law runs."""
 
@@ -86,6 +90,8 @@ def load_profile(name: str, overrides: Sequence[str] = ()) -> VehicleProfile:
 
 def select_gains(profile: VehicleProfile, controller: str, level: str) -> ControllerGains:
     """The gains of `controller` at `level`. Raises UserError that says what the profile has instead."""
+    if controller not in profile.controllers:
+        controller = GAINS_OF.get(controller, controller)
     if controller not in profile.controllers:
         raise UserError(
             f"profile {profile.name!r} has no gains for controller {controller!r}"

@@ -1,48 +1,23 @@
-"""Which control laws there are, and how one is built.
-
-To add a law: write one file beside `dtlannc.py` with a compiled `step(p, m, x, m_next, t)` that goes through the
-shared cascade (see `cascade.py`), and add one line to `LAWS`. It then flies at every level, is logged, replayed, tuned and
-compared like the others. Its gains go into the vehicle's profile under `[controllers.<name>.<level>]`.
-"""
+"""How a law is built: bound to a vehicle, its gains and an output level. Which laws there are: `laws.py`."""
 
 from __future__ import annotations
 
-import difflib
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from companion.config.errors import UserError
 from companion.config.gains import ControllerGains, LoopGains
 from companion.config.profile import VehicleProfile
-from companion.control import dtlannc, nnsmc, tlmbc
 from companion.control.allocation import allocation_matrix
 from companion.control.certificates import broken_conditions
-from companion.control.law import ControlLaw, StepKernel
+from companion.control.law import ControlLaw
+from companion.control.laws import LawEntry, law_entry
 from companion.control.network import draw_input_weights
 from companion.control.packing import parameters_dtype
 from companion.control.structs import ControlLevel, Record
 
 LEVEL_NUMBER = {ControlLevel.ATTITUDE: 0, ControlLevel.BODY_RATE: 1, ControlLevel.ACTUATOR: 2}
-
-
-@dataclass(frozen=True, slots=True)
-class LawEntry:
-    """One registered law: its kernel, and which of the shared parts it has."""
-
-    kernel: StepKernel
-    title: str
-    has_network: bool  # network with adaptation, and the sign term
-    has_integral: bool
-    model_in_feedback: bool  # the model term holds U̇_p instead of p̈_d
-
-
-LAWS: dict[str, LawEntry] = {
-    "dtlannc": LawEntry(dtlannc.step, "double two-loop adaptive neural network", True, True, False),
-    "tlmbc": LawEntry(tlmbc.step, "two-loop model-based", False, True, True),
-    "nnsmc": LawEntry(nnsmc.step, "adaptive-network sliding mode", True, False, True),
-}
 
 
 def build_law(
@@ -59,11 +34,7 @@ def build_law(
     `seed` draws the networks' input matrices V; `autopilot` (`px4`, `ardupilot`) chooses the profile's response
     that the lead makes up for. Raises UserError naming the known laws, or what in the profile does not fit.
     """
-    if name not in LAWS:
-        close = difflib.get_close_matches(name, LAWS, n=1)
-        hint = f" (did you mean {close[0]!r}?)" if close else ""
-        raise UserError(f"there is no controller {name!r}{hint}; there are {', '.join(LAWS)}")
-    entry = LAWS[name]
+    entry = law_entry(name)
     hidden = gains.hidden_neurons
     packed = np.zeros(1, parameters_dtype(hidden))
     p = packed[0]

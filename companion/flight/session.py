@@ -36,6 +36,7 @@ from companion.flight.reporter import Reporter
 from companion.flight.setpoint_gate import SetpointGate
 from companion.flight.stage import FlightRequest, FlightResult, Interrupts
 from companion.flight.vehicle import Vehicle
+from companion.flightlog.law_channels import LAW_TEXT
 from companion.flightlog.writer import FlightLog
 from companion.mavlink.bandwidth import LinePlan, describe, plan_line
 from companion.mavlink.connection import Connection
@@ -62,6 +63,7 @@ class SessionOptions:
     command_line: str = ""
     outside_poses: tuple[str, int] | None = None  # host, port to hear poses at that are forwarded as ODOMETRY
     pose_rate_hz: float = DEFAULT_RATE_HZ  # at most so many of them
+    law_text: str = ""  # of a law of one's own, for the log
 
 
 def fly(settings: Settings, options: SessionOptions, reporter: Reporter) -> FlightResult:
@@ -98,7 +100,7 @@ def _fly(
         with FlightLog(
             options.log_path,
             metadata={"controller": settings.flight.controller, "level": settings.level.value},
-            attachments={"settings.json": json.dumps(settings.as_tables(), indent=1, sort_keys=True)},
+            attachments=_attachments(settings, options),
             overwrite=options.overwrite,
         ) as log:
             log.metadata("versions", _versions())
@@ -301,6 +303,12 @@ def _signals(interrupts: Interrupts) -> Iterator[Interrupts]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _attachments(settings: Settings, options: SessionOptions) -> dict[str, str]:
+    """What repeating a step takes: the settings, and a law of one's own."""
+    kept = {"settings.json": json.dumps(settings.as_tables(), indent=1, sort_keys=True)}
+    return kept | {LAW_TEXT: options.law_text} if options.law_text else kept
 
 
 def _wall(options: SessionOptions) -> dict[str, str]:

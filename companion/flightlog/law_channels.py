@@ -10,6 +10,8 @@ from __future__ import annotations
 from companion.control.packing import INPUT, TERMS, memory_dtype
 from companion.flightlog.channels import ChannelSpec, packed_channel
 
+LAW_TEXT = "law.py"
+"""The attachment that holds the text of a law of one's own."""
 INPUT_TOPIC, MEMORY_TOPIC, TERMS_TOPIC = "/law_input", "/law_memory", "/terms"
 
 _STATE_UNITS = {

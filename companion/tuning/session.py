@@ -16,7 +16,7 @@ from companion.config.errors import UserError
 from companion.config.gains import ControllerGains, LoopGains
 from companion.config.profile import LevelName, VehicleProfile
 from companion.config.search_space import Parameter, search_space, to_vector, with_vector
-from companion.control.registry import LAWS
+from companion.control.laws import LAWS
 from companion.control.structs import Vector
 from companion.tuning.objective import Objective
 from companion.tuning.search import Search

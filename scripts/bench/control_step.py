@@ -19,9 +19,10 @@ import numpy as np
 from companion.config.settings import load_profile, select_gains
 from companion.control.compiled import compiled, python_twin
 from companion.control.law import pack_input
+from companion.control.laws import LAWS
 from companion.control.packing import INPUT, TERMS, memory_dtype
 from companion.control.prediction import Predictor
-from companion.control.registry import LAWS, build_law
+from companion.control.registry import build_law
 from companion.control.structs import AdaptationGate, ControlLevel, Reference, VehicleState
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from control_plant import quaternion_of, rotation_zyx
 
 from companion.config.settings import load_profile, select_gains
-from companion.control.registry import LAWS, build_law
+from companion.control.laws import LAWS
+from companion.control.registry import build_law
 from companion.control.structs import ControlLevel, Reference, VehicleState
 
 LAW_NAMES = tuple(LAWS)

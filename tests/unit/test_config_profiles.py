@@ -12,7 +12,8 @@ from companion.config.errors import UserError
 from companion.config.load import find_profile, shipped_profiles
 from companion.config.search_space import search_space, to_vector, with_vector
 from companion.config.settings import load_profile, select_gains
-from companion.control.registry import LAWS, build_law
+from companion.control.laws import LAWS
+from companion.control.registry import build_law
 from companion.control.structs import ControlLevel
 
 LEVELS = [level.value for level in ControlLevel]

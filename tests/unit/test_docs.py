@@ -19,9 +19,10 @@ from companion.cli.main import COMMANDS
 from companion.cli.sitl import FIRMWARES
 from companion.config.load import read_toml, shipped_profiles, validated
 from companion.config.profile import VehicleProfile
-from companion.config.settings import load_settings
-from companion.control import registry
+from companion.config.settings import GAINS_OF, load_settings
+from companion.control import laws, registry
 from companion.control.compiled import python_twin
+from companion.control.laws import LAWS
 from companion.control.structs import AdaptationGate, ControlLevel, Reference, VehicleState
 from companion.mavlink.endpoint import parse_endpoint
 from companion.reference.csv_file import csv_trajectory
@@ -33,7 +34,7 @@ PAGES = sorted([PROJECT / "README.md", *(PROJECT / "docs").rglob("*.md")])
 FENCE = re.compile(r"^[ ]*```(\w*)\n(.*?)^[ ]*```", re.S | re.M)
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)(?:\s+\"[^\"]*\")?\)")
 COMMAND = re.compile(r"^\s*(?:\$ )?(?:\.venv/bin/)?(companion|sitl-stub)( .*)?$")
-OWN_LAWS = {"pid", "my_law"}  # of the pages that tell how to add one
+OWN_LAWS = {"my_law"}  # of the pages that tell how to add one
 
 
 def name_of(page: Path) -> str:
@@ -148,7 +149,7 @@ def check_values(arguments: argparse.Namespace, shown: str) -> None:
     profile = given.get("profile") or "qball2"
     assert profile.endswith(".toml") or profile in shipped_profiles(), shown
     for name in [given.get("controller"), *(given.get("controllers") or "").split(",")]:
-        assert not name or name in registry.LAWS or name in OWN_LAWS, shown
+        assert not name or name in LAWS or name in OWN_LAWS or name.endswith(".py"), shown
     if given.get("endpoint"):
         parse_endpoint(given["endpoint"])
     if given.get("sitl"):
@@ -220,27 +221,26 @@ def test_the_trajectories_of_the_page_are_those_of_the_code(tmp_path: Path, monk
     assert csv_trajectory(tmp_path / "loop.csv").duration_s == pytest.approx(10.0)
 
 
-def test_the_law_of_the_page_flies(tmp_path: Path, monkeypatch) -> None:
-    """Its file, its line and its gains as printed: standing where it should, it carries just the weight it was told."""
+def test_the_law_of_the_page_flies(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The example's file and the gains as printed: standing where it should, it carries just the weight it was told."""
     page = PROJECT / "docs" / "adding_a_law.md"
-    source, line = blocks(page, "python")[:2]
-    file = tmp_path / "pid.py"
-    file.write_text(source)
-    spec = importlib.util.spec_from_file_location("pid", file)
-    assert spec is not None and spec.loader is not None
-    pid = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(pid)
-    entry_text = re.search(r'"pid": (LawEntry\(.*\)),', line)
-    assert entry_text is not None
-    entry = eval(entry_text.group(1), {"LawEntry": registry.LawEntry, "pid": pid})
-    monkeypatch.setitem(registry.LAWS, "pid", dataclasses.replace(entry, kernel=python_twin(pid.step)))
+    example = (PROJECT / "examples" / "my_law.py").read_text()
+    printed = blocks(page, "python")[0]
+    assert printed.partition("from companion import")[2] == example.partition("from companion import")[
+        2
+    ].replace("`companion/control/packing.py`", "`packing.py`")
+    monkeypatch.setattr(laws, "LAWS", dict(LAWS))
+    monkeypatch.setitem(GAINS_OF, "my_law", "tlmbc")
+    assert laws.load_law_file(PROJECT / "examples" / "my_law.py") == "my_law"
+    plain = dataclasses.replace(laws.LAWS["my_law"], step=python_twin(laws.LAWS["my_law"].kernel))
+    monkeypatch.setitem(laws.LAWS, "my_law", plain)
 
     values = read_toml(PROJECT / "companion" / "config" / "profiles" / "qball2.toml")
     values["controllers"] |= tomllib.loads(blocks(page, "toml")[0])["controllers"]
     profile = validated(VehicleProfile, values, "adding_a_law.md")
-    gains = profile.controllers["pid"].attitude
+    gains = profile.controllers["my_law"].attitude
     assert gains is not None
-    law = registry.build_law("pid", gains, profile, ControlLevel.ATTITUDE, seed=1)
+    law = registry.build_law("my_law", gains, profile, ControlLevel.ATTITUDE, seed=1)
 
     still, level = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
     state = VehicleState(0.0, still, still, level, still)

@@ -1,4 +1,4 @@
-"""The tests of `climb_and_land.py` against the stub: `pytest docs/examples --sitl px4 --sitl ardupilot`."""
+"""The tests of `climb_and_land.py` against the stub: `pytest examples --sitl px4 --sitl ardupilot`."""
 
 import pytest
 from climb_and_land import climb_and_land
