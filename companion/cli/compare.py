@@ -70,7 +70,12 @@ def run(arguments: argparse.Namespace) -> int:
         prepare_report(arguments.report)
     logs, code = _fly_all(arguments)
     if logs:
-        show_comparison(logs, arguments.from_s, arguments.to_s, arguments.json, arguments.report)
+        try:
+            show_comparison(logs, arguments.from_s, arguments.to_s, arguments.json, arguments.report)
+        except UserError as error:
+            if not code:
+                raise
+            print(f"error: {error}", file=sys.stderr)  # how the series ended counts more
     return code
 
 

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import os
-import queue
 import sys
-import threading
 
 from companion.autopilot.adapter import Finding, Verdict
+from companion.cli.output import Speaker
 from companion.flight.phases import Phase
 from companion.flight.reporter import Reporter
 
 _MARKS = {Verdict.OK: "ok     ", Verdict.WARNING: "warning", Verdict.REFUSAL: "REFUSED"}
 _BAR = 24
 _STDERR = 2
-_WAITING = 1000  # lines that a terminal which takes none may owe; what is more is not shown
 _LAST_WORDS_S = 1.0  # how long the end of a flight waits for such a terminal
 
 
@@ -27,9 +24,7 @@ class ConsoleReporter(Reporter):
     """
 
     def __init__(self) -> None:
-        self._words: queue.Queue[str | None] = queue.Queue(_WAITING)
-        self._speaker = threading.Thread(target=self._speak, name="console", daemon=True)
-        self._speaker.start()
+        self._speaker = Speaker(_STDERR)
         self._moving = _is_terminal()
         self._open_line = False
         self._phase: Phase | None = None
@@ -66,21 +61,10 @@ class ConsoleReporter(Reporter):
     def close(self) -> None:
         """Leave the terminal with a finished line; one that takes nothing is not waited for."""
         self._close_line()
-        with contextlib.suppress(queue.Full):
-            self._words.put_nowait(None)
-        self._speaker.join(_LAST_WORDS_S)
+        self._speaker.finish(_LAST_WORDS_S)
 
     def _put(self, words: str) -> None:
-        with contextlib.suppress(queue.Full):
-            self._words.put_nowait(words)
-
-    def _speak(self) -> None:
-        """Write to the file descriptor itself: a lock of `sys.stderr` held here would stop the interpreter's end."""
-        while (words := self._words.get()) is not None:
-            left = words.encode(_encoding(), "replace")
-            with contextlib.suppress(OSError):
-                while left:
-                    left = left[os.write(_STDERR, left) :]
+        self._speaker.put(words.encode(_encoding(), "replace"))
 
     def _close_line(self) -> None:
         if self._open_line:

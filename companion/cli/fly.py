@@ -173,9 +173,13 @@ def run(arguments: argparse.Namespace) -> int:
             arguments, arguments.controller, arguments.seed, log_path, arguments.overwrite or claimed
         )
     finally:
-        if claimed and not log_path.stat().st_size:  # nothing was flown
-            log_path.unlink()
-    _show(log_path, report, arguments.json, outcome, text)
+        with suppress(OSError):
+            if claimed and not log_path.stat().st_size:  # nothing was flown
+                log_path.unlink()
+    try:
+        _show(log_path, report, arguments.json, outcome, text)
+    except (Exception, KeyboardInterrupt) as error:  # the flight is over: its exit code stands
+        print(f"no table: {error!r}\nlog: {log_path}", file=sys.stderr)
     return code
 
 

@@ -1,16 +1,17 @@
-"""The command `companion`: finds the subcommand, turns errors of the user into one line and exit code 2."""
+"""The command `companion`: finds the subcommand, turns errors of the user into one line and exit code 2.
+
+Imported are only modules that Python has loaded anyhow, the rest when the command runs: Ctrl-C while libraries load is
+an end like any other, and no traceback.
+"""
 
 from __future__ import annotations
 
-import argparse
-import importlib
-import importlib.metadata
-import io
 import sys
-from collections.abc import Sequence
-from types import ModuleType
 
-from companion.config.errors import UserError
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from types import ModuleType
 
 COMMANDS = (
     "fly",
@@ -35,10 +36,21 @@ _EPILOG = """examples:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a terminal without ° or é is no reason to fail
+    """Run the command line; returns the exit code, which no trouble with printing changes."""
+    try:
+        from companion.cli.output import results_and_words
+
+        with results_and_words():
+            return _run(arguments)
+    except KeyboardInterrupt:
+        return 130
+
+
+def _run(arguments: Sequence[str] | None) -> int:
+    import argparse
+
+    from companion.config.errors import UserError
+
     parser = argparse.ArgumentParser(
         prog="companion",
         description="Flies PX4 and ArduPilot multirotors over MAVLink from a companion computer.",
@@ -55,13 +67,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except UserError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    except BrokenPipeError:
-        return 0
-    except KeyboardInterrupt:
-        return 130
+    except Exception:  # said here, as Python would, where a terminal that takes nothing holds nobody up
+        import traceback
+
+        traceback.print_exc()
+        return 1
 
 
 def _version() -> str:
+    import importlib.metadata
+
     try:
         return importlib.metadata.version("dtlannc-companion")
     except importlib.metadata.PackageNotFoundError:
@@ -69,6 +84,8 @@ def _version() -> str:
 
 
 def _module(command: str) -> ModuleType:
+    import importlib
+
     return importlib.import_module(f"companion.cli.{command.replace('-', '_')}")
 
 

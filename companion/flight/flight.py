@@ -146,6 +146,7 @@ class Flight:
         findings = checks.parameter_findings()
         self._loop = self._stage.loop = self._make_loop(vehicle)
         if self._request.fix:
+            self._require_standing()  # parameters of a vehicle that flies are not touched
             findings = checks.fix(findings, "for this flight")
             for name, before, value in checks.changed:
                 self._recorder.log.event(

@@ -291,13 +291,23 @@ def _check_plan(settings: Settings, plan: FlightPlan, ground_m: float) -> None:
 
 @contextmanager
 def _signals(interrupts: Interrupts) -> Iterator[Interrupts]:
-    """Ctrl-C and SIGTERM ask the flight to stop; a closed terminal (SIGHUP) is none of its business."""
+    """Ctrl-C and SIGTERM ask the flight to stop; a closed terminal (SIGHUP) is none of its business.
+
+    Nor are Ctrl-Z and a terminal that stops whoever writes from the background (`stty tostop`): a stopped process would
+    leave its last setpoint standing.
+    """
 
     def ask(_signal: int, _frame: FrameType | None) -> None:
         interrupts.ask(time.monotonic())
 
-    wanted = {signal.SIGINT: ask, signal.SIGTERM: ask, signal.SIGHUP: signal.SIG_IGN}
-    before = {number: signal.signal(number, handler) for number, handler in wanted.items()}  # type: ignore[arg-type]
+    wanted: dict[signal.Signals, Callable[[int, FrameType | None], None] | signal.Handlers] = {
+        signal.SIGINT: ask,
+        signal.SIGTERM: ask,
+        signal.SIGHUP: signal.SIG_IGN,
+        signal.SIGTSTP: signal.SIG_IGN,
+        signal.SIGTTOU: signal.SIG_IGN,
+    }
+    before = {number: signal.signal(number, handler) for number, handler in wanted.items()}
     try:
         yield interrupts
     finally:
