@@ -47,6 +47,9 @@ def add_parser(subparsers: Any) -> None:
         help="hear poses there as `fly` does, and look at their axes",
     )
     parser.add_argument("--fix", action="store_true", help="set parameters that stand in the way, for good")
+    parser.add_argument(
+        "--restore", action="store_true", help="put parameters back that an earlier fly --fix left changed"
+    )
     parser.add_argument("--json", action="store_true", help="print JSON instead of the table")
 
 
@@ -62,7 +65,7 @@ def findings_of(arguments: argparse.Namespace) -> tuple[list[Finding], list[tupl
     reporter = ConsoleReporter()
     try:
         connection = connection_from(arguments, arguments.endpoint)
-        return check(settings, connection, reporter, arguments.fix, poses)
+        return check(settings, connection, reporter, arguments.fix, poses, arguments.restore)
     except FlightEnd as end:
         raise UserError(f"endpoint {arguments.endpoint}: {end}") from None
 

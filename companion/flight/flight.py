@@ -145,9 +145,13 @@ class Flight:
         checks.ask_for_streams()
         findings = checks.parameter_findings()
         self._loop = self._stage.loop = self._make_loop(vehicle)
+        if checks.changes.pending():
+            self._require_standing()
+            checks.changes.put_back()
+            findings = checks.parameter_findings()
         if self._request.fix:
             self._require_standing()  # parameters of a vehicle that flies are not touched
-            findings = checks.fix(findings, "for this flight")
+            findings = checks.fix(findings, for_good=False)
             for name, before, value in checks.changed:
                 self._recorder.log.event(
                     "parameter", vehicle.link.autopilot_time_s, name=name, before=before, value=value
@@ -493,14 +497,13 @@ class Flight:
     # Afterwards ------------------------------------------------------------------------------------------
 
     def _put_parameters_back(self, result: FlightResult) -> None:
-        if (
-            self._preflight.changed
-            and result.outcome is not Outcome.LINK_LOST
-            and not self._vehicle.status.armed
-        ):
-            for name, value, _ in reversed(self._preflight.changed):
-                self._vehicle.watch = lambda: None
-                if self._vehicle.set_parameter(name, value):
-                    self._reporter.say(f"put {name} back to {value:g}")
-                else:
-                    self._reporter.say(f"warning: could not put {name} back to {value:g}; do it by hand")
+        """As they were, where the vehicle is down and hears us; said where they stay changed."""
+        changes = vars(self._preflight).get("changes")  # none where the flight did not get so far
+        if changes is None or not changes.pending():
+            return
+        if result.outcome is not Outcome.LINK_LOST and not self._vehicle.status.armed:
+            self._vehicle.watch = lambda: None
+            with suppress(FlightEnd):  # the link may be lost meanwhile, which the last words say
+                changes.put_back()
+        if words := changes.in_words():
+            self._reporter.say(f"warning: {words}")

@@ -5,20 +5,23 @@ Nothing is changed but message rates, which the autopilot forgets at its next st
 
 from __future__ import annotations
 
+import functools
 import math
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass
 
 from companion.autopilot.adapter import Finding, Verdict
 from companion.config.profile import VehicleProfile
 from companion.config.settings import FlightSettings
 from companion.control.structs import ControlLevel
+from companion.flight.changed_parameters import ChangedParameters
 from companion.flight.outcome import Refused, WaitedTooLong
 from companion.flight.pose_findings import pose_findings
 from companion.flight.reporter import Reporter
 from companion.flight.sources import Blind, blind, blind_findings
 from companion.flight.supervisor import tilt_of
-from companion.flight.vehicle import Vehicle
+from companion.flight.vehicle import LANDED_STATE_HOLDS_S, Vehicle
 from companion.mavlink.bandwidth import POSITION_RATE_HZ, spare_rate
 from companion.mavlink.frames import angle_between, attitude_from_euler_ned
 from companion.mavlink.link import Message, mav
@@ -139,18 +142,55 @@ class Preflight:
             )
         return findings
 
-    def fix(self, findings: list[Finding], how_long: str) -> list[Finding]:
-        """Set what is safe to set, say so with `how_long` it stays, remember it in `changed`, and judge again."""
+    def fix(self, findings: list[Finding], *, for_good: bool) -> list[Finding]:
+        """Set what is safe to set, for this flight or for good, note it in `changed`, and judge again.
+
+        Raises UserError where old values cannot be kept on disk.
+        """
         vehicle = self._vehicle
+        how_long = "for good" if for_good else "for this flight"
         for finding in findings:
             if finding.fix is None:
                 continue
             name, value = finding.fix
             before = vehicle.parameters.values[name]
-            if vehicle.set_parameter(name, value):
+            if vehicle.set_parameter(name, value) if for_good else self.changes.set(name, value):
                 self.changed.append((name, before, value))
                 self._reporter.say(f"set {name} from {before:g} to {value:g} {how_long}")
         return self.parameter_findings()
+
+    @functools.cached_property
+    def changes(self) -> ChangedParameters:
+        """What has been changed for a flight, this one or one before. Raises UserError for a damaged note of it."""
+        return ChangedParameters(self._vehicle, self._reporter.say)
+
+    def ground_finding(self) -> Finding:
+        """Whether it stands on the ground, where a flight begins and parameters may be set (EXTENDED_SYS_STATE)."""
+        vehicle = self._vehicle
+        with suppress(WaitedTooLong):
+            vehicle.until(lambda: vehicle.on_ground is not None, LANDED_STATE_HOLDS_S)
+        if vehicle.on_ground:
+            return Finding(Verdict.OK, "landed state", "on the ground")
+        if vehicle.on_ground is None:
+            return Finding(
+                Verdict.REFUSAL,
+                "landed state",
+                "not told",
+                "a flight begins on the ground, and idle setpoints let a vehicle fall that flies",
+                "is EXTENDED_SYS_STATE passed on by what lies between?",
+            )
+        return Finding(
+            Verdict.REFUSAL, "landed state", "the vehicle flies", "a flight begins on the ground", "land it"
+        )
+
+    def change_findings(self) -> list[Finding]:
+        """Parameters that an earlier flight left changed."""
+        words = self.changes.in_words()
+        return (
+            [Finding(Verdict.WARNING, "parameters", words, "an earlier flight could not put them back")]
+            if words
+            else []
+        )
 
     def wait_until_ready(self) -> float:
         """Wait until the autopilot can be armed and the state flows; return how long that took, its clock.
@@ -320,7 +360,7 @@ class Preflight:
             )
         reasons = self.not_ready()
         findings.append(
-            Finding(Verdict.OK, "readiness", "ready")
+            Finding(Verdict.OK, "readiness", "ready" if vehicle.on_ground is not False else "flying")
             if not reasons
             else Finding(
                 Verdict.REFUSAL, "readiness", ", ".join(reasons), "it would not arm", "wait, or mend it"
@@ -337,16 +377,20 @@ class Preflight:
         if state is None:
             return []
         tilt_deg = math.degrees(tilt_of(state.quaternion_wxyz))
-        findings = [
-            _graded(
-                tilt_deg <= _STANDING_TILT_DEG,
-                tilt_deg <= _STANDING_TILT_DEG,
-                "tilt on the ground",
-                f"{tilt_deg:.0f}°",
-                "no vehicle takes off like that: it has tipped over, or its attitude is in other axes",
-                "put it upright; else look at the autopilot's board orientation (SENS_BOARD_ROT, AHRS_ORIENTATION)",
-            )
-        ]
+        findings = (
+            []
+            if self._vehicle.on_ground is False
+            else [
+                _graded(
+                    tilt_deg <= _STANDING_TILT_DEG,
+                    tilt_deg <= _STANDING_TILT_DEG,
+                    "tilt on the ground",
+                    f"{tilt_deg:.0f}°",
+                    "no vehicle takes off like that: it has tipped over, or its attitude is in other axes",
+                    "put it upright; else look at the autopilot's board orientation (SENS_BOARD_ROT, AHRS_ORIENTATION)",
+                )
+            ]
+        )
         if euler is not None:
             other = attitude_from_euler_ned(euler.roll, euler.pitch, euler.yaw)
             apart_deg = math.degrees(angle_between(state.quaternion_wxyz, other))

@@ -16,7 +16,7 @@ from types import FrameType
 
 import numpy as np
 
-from companion.autopilot.adapter import Finding
+from companion.autopilot.adapter import Finding, Verdict
 from companion.autopilot.hover_thrust import HoverThrustEstimator
 from companion.autopilot.thrust import ThrustScale, mixer_of
 from companion.config.settings import Settings
@@ -108,6 +108,7 @@ def _fly(
             recorder = Recorder(log)
             link.tap = recorder.frame
             vehicle = Vehicle(link, settings.flight.safety.silence_s)
+            vehicle.address = str(options.connection.endpoint)
             vehicle.on_notice = _notices(vehicle, recorder, reporter)
             vehicle.outside_poses = poses
             request = FlightRequest(
@@ -155,8 +156,9 @@ def check(
     reporter: Reporter,
     fix: bool = False,
     outside_poses: tuple[str, int] | None = None,
+    restore: bool = False,
 ) -> tuple[list[Finding], list[tuple[str, float, float]]]:
-    """Look at everything a flight with these settings depends on; change nothing, unless `fix`.
+    """Look at everything a flight with these settings depends on; change nothing, unless `fix` or `restore`.
 
     Poses that arrive at `outside_poses` (host, port) are forwarded meanwhile, as in a flight, and looked at, too.
     Returns the findings, and what was set for good: name, value before, value now.
@@ -172,13 +174,21 @@ def check(
         vehicle = Vehicle(link, settings.flight.safety.silence_s)
         vehicle.outside_poses = poses
         vehicle.on_notice = reporter.say
+        vehicle.address = str(connection.endpoint)
         vehicle.connect(settings.flight.procedure.connect_timeout_s)
         reporter.say(f"{vehicle.firmware}, system {link.target_system}")
         preflight = _preflight(settings, vehicle, reporter, plan)
         preflight.ask_for_streams()
-        findings = preflight.parameter_findings()
-        if fix:
-            findings = preflight.fix(findings, "for good")
+        ground = preflight.ground_finding()
+        findings = [ground, *preflight.parameter_findings()]
+        if ground.verdict is Verdict.OK:  # of a vehicle that flies, or does not say, nothing is touched
+            if restore:
+                preflight.changes.put_back()
+            if fix:
+                findings = [ground, *preflight.fix(findings, for_good=True)]
+        elif fix or restore:
+            reporter.say("no parameter is set: the vehicle is not known to be on the ground")
+        findings += preflight.change_findings()
         with suppress(Refused):  # what is missing then is among the findings
             preflight.wait_until_ready()
         measured = preflight.measure()

@@ -75,6 +75,8 @@ class Vehicle:
         self.taken_off = False
         """Before, a second autopilot on the link is a reason not to fly; from then on it is only told."""
         self.version: Version | None = None  # None: not told, or built without one
+        self.identity = ""  # AUTOPILOT_VERSION's uid2 or uid; empty where neither is told
+        self.address = ""  # the endpoint, for people and for telling vehicles apart that tell no identity
         self.simulated = False  # only a simulation publishes its true state
         self.silence_limit_s = silence_limit_s
         self.landed_state_s = -math.inf  # when EXTENDED_SYS_STATE was heard last, the autopilot's time
@@ -292,6 +294,8 @@ class Vehicle:
             number = answered[0].flight_sw_version
             version = (number >> 24 & 0xFF, number >> 16 & 0xFF, number >> 8 & 0xFF)
             self.version = version if any(version) else None  # 0.0.0 is a build without tags
+            uid2 = bytes(answered[0].uid2)
+            self.identity = uid2.hex() if any(uid2) else f"{answered[0].uid:x}" if answered[0].uid else ""
         elif self.link.counters["signed, and we have no key"]:
             raise UserError(
                 "the autopilot signs its messages and answers nothing that is not signed: give --signing-key FILE"

@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import hashlib
 import hmac
-import os
 import stat
 import time
 from pathlib import Path
 from typing import Any
 
 from companion.config.errors import UserError
+from companion.config.places import state_folder
 from companion.mavlink.framing import is_signed
 
 KEY_BYTES = 32
@@ -76,9 +76,8 @@ def open_to_others(path: Path) -> bool:
 
 def state_path(key: bytes) -> Path:
     """Where the last time stamp used with `key` is remembered (named by a fingerprint, which tells nothing of it)."""
-    home = os.environ.get("XDG_STATE_HOME") or str(Path.home() / ".local" / "state")
     fingerprint = hashlib.sha256(b"fingerprint" + key).hexdigest()[:16]
-    return Path(home) / "dtlannc-companion" / f"signing-{fingerprint}"
+    return state_folder() / f"signing-{fingerprint}"
 
 
 def stamp_of(unix_time_s: float) -> int:
