@@ -57,10 +57,19 @@ def profile_values(
     """
     base = merged(read or {}, given)
     apply_overrides(VehicleProfile, _completed(base, autopilot), overrides)
-    vehicle = [item for item in overrides if item[0][0] != "controllers"]
     gains = [item for item in overrides if item[0][0] == "controllers"]
-    base = apply_overrides(VehicleProfile, _with_vehicle(base), vehicle) if vehicle else base
+    for path, value in overrides:  # what follows from the rest follows from these, too
+        if path[0] != "controllers":
+            base = merged(base, nested(path, value))
     return apply_overrides(VehicleProfile, _completed(base, autopilot), gains)
+
+
+def nested(path: Sequence[str], value: Any) -> dict[str, Any]:
+    """`value` in the tables of a dotted key."""
+    tables: Any = value
+    for part in reversed(path):
+        tables = {part: tables}
+    return tables  # type: ignore[no-any-return]
 
 
 def merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:

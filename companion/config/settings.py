@@ -71,7 +71,7 @@ class Settings:
     profile: VehicleProfile
     gains: ControllerGains
     overrides: tuple[str, ...]  # as given, for the log
-    given: Given = field(default=Given(), compare=False)
+    given: Given | None = field(default=None, compare=False)  # None: read from a log
 
     @property
     def level(self) -> ControlLevel:
