@@ -81,7 +81,16 @@ def test_px4_is_flyable_and_actuators_are_not(capsys) -> None:
         code, output = checked(f"udpin:127.0.0.1:{port}", capsys)
         assert code == 0 and json.loads(output)["flyable"] is True
         assert verdicts(output)["round trip"][0] == "ok"
-        words = ["check", "--endpoint", f"udpin:127.0.0.1:{port}", "--level", "actuator", *PATIENT]
+        words = [
+            "check",
+            "--endpoint",
+            f"udpin:127.0.0.1:{port}",
+            "--level",
+            "actuator",
+            "--profile",
+            "qball2",
+            *PATIENT,
+        ]
         assert main(words) == 2
         table = " ".join(capsys.readouterr().out.split())
     assert "refusal" in table and "what mends it" in table
@@ -89,7 +98,7 @@ def test_px4_is_flyable_and_actuators_are_not(capsys) -> None:
 
 def refusals(endpoint: str, level: str, overrides: Sequence[str] = ()) -> dict[str, str]:
     settings = load_settings("qball2", {"level": level}, [PATIENT[1], *overrides])
-    findings, _ = check(settings, Connection(parse_endpoint(endpoint)), NoteTaker())
+    findings, _, _ = check(settings, Connection(parse_endpoint(endpoint)), NoteTaker())
     return {f.subject: f.found for f in findings if f.verdict.value == "refusal"}
 
 
@@ -121,7 +130,7 @@ def test_the_delay_of_each_stream_is_measured() -> None:
     with Stub(seed=1) as stub:
         stub.inject("link_delay", delay_s=0.04)
         for _ in range(8):
-            findings, _ = check(settings, Connection(parse_endpoint(stub.endpoint)), NoteTaker())
+            findings, _, _ = check(settings, Connection(parse_endpoint(stub.endpoint)), NoteTaker())
             delays = {f.subject.split()[-1]: f.found for f in findings if f.subject.startswith("delay of ")}
             ages_ms = {
                 name: float(re.search(r"age (\S+) ms", found).group(1)) for name, found in delays.items()
