@@ -73,6 +73,7 @@ def test_ardupilot_as_it_comes_is_refused_and_fixed_for_good(capsys) -> None:
         assert json.loads(output)["changed"] == [
             {"parameter": "GUID_OPTIONS", "before": 0.0, "now": 8.0},
             {"parameter": "ATC_ANGLE_BOOST", "before": 1.0, "now": 0.0},
+            {"parameter": "GUID_TIMEOUT", "before": 3.0, "now": 0.5},
         ]
 
 
