@@ -12,6 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from companion.config.provenance import Known
 from companion.control.structs import ControlLevel, Setpoint, Vector
 from companion.mavlink.frames import frd_from_flu, quaternion_ned_frd_from_enu_flu
 from companion.mavlink.link import Message, mav
@@ -231,6 +232,10 @@ class Adapter(ABC):
         self, parameters: Mapping[str, float], level: ControlLevel, version: Version | None
     ) -> list[Finding]:
         """Judge parameters and firmware version (None: not known) for a flight at `level`."""
+
+    @abstractmethod
+    def tells(self, parameters: Mapping[str, float], vehicle_type: int) -> list[Known]:
+        """What the parameters tell of the vehicle; `vehicle_type` is HEARTBEAT's MAV_TYPE."""
 
     def suited(self, parameters: Mapping[str, float]) -> Adapter:
         """The adapter for a vehicle with these parameters: this one, or another one of the same autopilot."""

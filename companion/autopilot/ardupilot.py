@@ -11,6 +11,8 @@ import math
 from collections.abc import Mapping
 
 from companion.autopilot.adapter import Adapter, Finding, Intent, Verdict, Version, held_setpoint
+from companion.autopilot.vehicle_parameters import ARDUPILOT_PARAMETERS, from_ardupilot
+from companion.config.provenance import Known
 from companion.control.structs import ControlLevel
 from companion.mavlink.link import mav
 from companion.mavlink.protocol import Command
@@ -72,8 +74,7 @@ class ArduPilot(Adapter):
             "GUID_OPTIONS",
             "GUID_TIMEOUT",
             "ATC_ANGLE_BOOST",
-            "MOT_THST_HOVER",
-            "MOT_THST_EXPO",
+            *ARDUPILOT_PARAMETERS,
             "ANGLE_MAX",
             "ATC_ANGLE_MAX",
             *_GPS_TYPE,
@@ -90,6 +91,10 @@ class ArduPilot(Adapter):
         if newest is not None:
             return newest
         return older / 100.0 if older is not None else math.inf
+
+    def tells(self, parameters: Mapping[str, float], vehicle_type: int) -> list[Known]:
+        """See `Adapter.tells`."""
+        return from_ardupilot(parameters, vehicle_type, self.tilt_limit_deg(parameters))
 
     def uses_poses(self, parameters: Mapping[str, float]) -> bool | None:
         """See `Adapter.uses_poses`: VISO_TYPE on, and any source of the first set external navigation."""

@@ -13,6 +13,8 @@ from companion.autopilot.adapter import (
     held_setpoint,
     version_text,
 )
+from companion.autopilot.vehicle_parameters import PX4_PARAMETERS, from_px4
+from companion.config.provenance import Known
 from companion.control.structs import ControlLevel, Vector
 from companion.mavlink.frames import frd_from_flu
 from companion.mavlink.link import Message, mav
@@ -96,8 +98,7 @@ class Px4(Adapter):
     def parameters_needed(self) -> tuple[str, ...]:
         """See `Adapter.parameters_needed`."""
         return (
-            "MPC_THR_HOVER",
-            "THR_MDL_FAC",
+            *PX4_PARAMETERS,
             "COM_OF_LOSS_T",
             "COM_OBL_RC_ACT",
             "COM_RC_OVERRIDE",
@@ -107,6 +108,10 @@ class Px4(Adapter):
             "EKF2_HGT_REF",
             "EKF2_RNG_CTRL",
         )
+
+    def tells(self, parameters: Mapping[str, float], vehicle_type: int) -> list[Known]:
+        """See `Adapter.tells`."""
+        return from_px4(parameters, vehicle_type)
 
     def uses_poses(self, parameters: Mapping[str, float]) -> bool | None:
         """See `Adapter.uses_poses`: any bit of EKF2_EV_CTRL."""

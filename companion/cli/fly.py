@@ -23,9 +23,10 @@ if TYPE_CHECKING:
 EPILOG = """examples:
   companion fly --sitl px4                                     the bundled stub, as fast as it goes
   companion fly --sitl px4 --real-time --controller tlmbc      the same in real time, another law
-  companion fly --endpoint udpin:0.0.0.0:14540                 PX4's own simulation
-  companion fly --endpoint tcp:127.0.0.1:5760 --profile arducopter_sitl --fix
+  companion fly --endpoint udpin:0.0.0.0:14540                 any PX4 multirotor, here its own simulation
+  companion fly --endpoint tcp:127.0.0.1:5760 --fix            any ArduCopter
   companion fly --endpoint /dev/ttyACM0,921600 --profile my_drone.toml --trajectory hover
+  companion fly --sitl px4 --sitl-options "--vehicle random:7" a vehicle that nobody has written a profile for
 
 Ctrl-C lands; a second Ctrl-C hands back to the autopilot at once. A vehicle that is not a simulation is armed by
 its pilot, unless --arm is given. Exit codes: 0 flown as planned, 1 the link was lost, or the autopilot took
@@ -88,7 +89,11 @@ def add_flight_options(parser: argparse.ArgumentParser, required: bool = True) -
     parser.add_argument(
         "--duration", type=float, default=40.0, metavar="S", help="tracking time (default 40)"
     )
-    parser.add_argument("--profile", default="qball2", metavar="NAME|FILE", help="vehicle profile (TOML)")
+    parser.add_argument(
+        "--profile",
+        metavar="NAME|FILE",
+        help="what is to be otherwise than the autopilot tells (TOML); of the stub's own vehicles by default theirs",
+    )
     parser.add_argument(
         "--set",
         dest="overrides",
@@ -254,7 +259,7 @@ def fly_once(
         controller = load_law_file(law_file)
         law_text = law_file.read_text(encoding="utf-8")
     settings = load_settings(
-        arguments.profile,
+        arguments.profile or _stubs_profile(arguments),
         {
             "controller": controller,
             "level": arguments.level,
@@ -295,6 +300,14 @@ def fly_once(
         finally:
             reporter.close()
     return result.outcome.value, result.text, result.outcome.exit_code
+
+
+def _stubs_profile(arguments: argparse.Namespace) -> str | None:
+    """The profile of the report's experiment for the vehicle that the stub flies by itself; None for any other vehicle."""
+    from companion.cli.sitl import STUB_PROFILES
+
+    chosen = any(word.startswith("--veh") for word in shlex.split(arguments.sitl_options))
+    return None if chosen else STUB_PROFILES.get(arguments.sitl)
 
 
 def _report_path(wish: str | None, log_path: Path) -> Path | None:

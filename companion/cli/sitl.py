@@ -17,6 +17,8 @@ from companion.config.errors import UserError
 
 FIRMWARES = ("px4", "px4-1.13", "ardupilot")
 START_TIMEOUT_S = 60.0
+STUB_PROFILES = {"px4": "qball2", "px4-1.13": "qball2", "ardupilot": "arducopter_sitl"}
+"""Profiles of the vehicles that the stub flies where nobody chooses one, with the report's m̂ = 70 %."""
 STUB_PATIENCE = "flight.procedure.connect_timeout_s=300"
 """Setting for a flight against the stub: on a new machine it compiles before its first HEARTBEAT."""
 

@@ -1,4 +1,8 @@
-"""What is known of a vehicle: mass, inertia, rotors, how its autopilot responds, and the gains found for it."""
+"""What is known of a vehicle: mass, inertia, rotors, how its autopilot responds, and the gains found for it.
+
+A `VehicleProfile` is complete. A profile's file need not be, and may be empty: what it leaves out comes from the
+autopilot's parameters, from what else is known, or from the common gains (`resolve.py`).
+"""
 
 from __future__ import annotations
 
@@ -74,20 +78,20 @@ class SecondOrder(SettingsModel):
 class AutopilotResponse(SettingsModel):
     """How one autopilot's own loops follow setpoints on this vehicle. `companion identify LOG` finds these."""
 
-    dead_time_s: NotNegative
+    dead_time_s: NotNegative = 0.07
     """From sending an attitude setpoint to the first motion, s, link included. Made up for by prediction."""
-    rate_dead_time_s: NotNegative = 0.01
+    rate_dead_time_s: NotNegative = 0.05
     """The same for a body-rate setpoint, s."""
     actuator_dead_time_s: NotNegative = 0.0
     """The same for thrust and torque at the actuator level, s."""
     thrust_dead_time_s: NotNegative = 0.01
     """From sending an attitude or body-rate setpoint to the first change of its thrust, before the rotors' lag, s: it
     passes by the autopilot's loops, so it is shorter than the attitude's."""
-    tilt: SecondOrder
+    tilt: SecondOrder = SecondOrder(natural_frequency_rad_s=12.0, damping=1.0)
     """Roll and pitch behind an attitude setpoint."""
-    yaw: SecondOrder
+    yaw: SecondOrder = SecondOrder(natural_frequency_rad_s=4.6, damping=0.6)
     """Yaw behind an attitude setpoint."""
-    rate_lag_s: tuple[NotNegative, NotNegative, NotNegative]
+    rate_lag_s: NotNegative3 = (0.034, 0.034, 0.2)
     """Roll, pitch and yaw rate behind a body-rate setpoint: first-order time constants, s."""
 
     def thrust_dead_time(self, level: ControlLevel) -> float:
@@ -143,18 +147,18 @@ class LevelGains(SettingsModel):
 class VehicleProfile(SettingsModel):
     """One vehicle. Shipped ones are TOML files in `companion/config/profiles`."""
 
-    name: str = Field(min_length=1)
+    name: str = Field(default="this vehicle", min_length=1)
     """Shown and logged."""
     description: str = ""
     """One line on what it is."""
-    mass_kg: Positive
-    """m, true mass with battery and payload, kg."""
+    mass_kg: Positive = 1.0
+    """m, true mass with battery and payload, kg. Where it is left out, forces are simply counted per kilogram."""
     mass_ratio: float = Field(default=1.0, ge=0.3, le=2.0)
     """m̂/m: the share of the mass the law is told; 0.7 in the report's experiment."""
     gravity_m_s2: float = Field(default=9.81, gt=9.7, lt=9.9)
     """g."""
     inertia_kg_m2: Positive3
-    """Diagonal of I about x, y, z."""
+    """Diagonal of I about x, y, z. Flies at the actuator level only."""
     drag_kg_s: NotNegative3 = (0.0, 0.0, 0.0)
     """Diagonal of D_p in Eq. (1)."""
     rotational_drag_kg_m2_s: NotNegative3 = (0.0, 0.0, 0.0)
@@ -167,6 +171,8 @@ class VehicleProfile(SettingsModel):
     """Age of the autopilot's estimate beyond its time stamp, s."""
     responses: dict[Autopilot, AutopilotResponse] = Field(min_length=1)
     """By autopilot."""
+    lag_margin: float = Field(default=1.0, ge=1.0, le=3.0)
+    """The common gains are chosen for a response so many times as slow: above 1 where it is not known well."""
     limits: Limits = Limits()
     """Bounds on the commands."""
     controllers: dict[str, LevelGains] = Field(min_length=1)

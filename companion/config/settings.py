@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from pydantic import Field
@@ -14,6 +14,7 @@ from companion.config.load import apply_overrides, find_profile, nearest, parse_
 from companion.config.model import Positive, SettingsModel
 from companion.config.procedure import Procedure
 from companion.config.profile import LevelName, VehicleProfile
+from companion.config.resolve import Override, profile_values, require_torque_numbers
 from companion.config.safety import SafetyLimits
 from companion.control.structs import ControlLevel
 
@@ -56,6 +57,17 @@ class FlightSettings(SettingsModel):
 
 
 @dataclass(frozen=True, slots=True)
+class Given:
+    """What somebody wrote or set, apart from what was made of it: to resolve it anew once more is known."""
+
+    profile: dict[str, Any] = field(default_factory=dict)  # the file's tables
+    origin: str = "no profile"
+    profile_overrides: tuple[Override, ...] = ()
+    gains_overrides: tuple[Override, ...] = ()
+    texts: dict[str, dict[str, str]] = field(default_factory=lambda: {"profile": {}, "gains": {}})
+
+
+@dataclass(frozen=True, slots=True)
 class Settings:
     """A flight's settings, resolved: the gains are those of its controller at its level."""
 
@@ -63,6 +75,7 @@ class Settings:
     profile: VehicleProfile
     gains: ControllerGains
     overrides: tuple[str, ...]  # as given, for the log
+    given: Given | None = field(default=None, compare=False)  # None: read from a log
 
     @property
     def level(self) -> ControlLevel:
@@ -70,7 +83,7 @@ class Settings:
         return ControlLevel(self.flight.level)
 
     def as_tables(self) -> dict[str, Any]:
-        """Everything as plain tables, for the log's metadata; `settings_from_tables` reads it back."""
+        """Everything as plain tables, for the log; `settings_from_tables` reads it back."""
         return {
             "flight": self.flight.model_dump(mode="json"),
             "profile": self.profile.model_dump(mode="json"),
@@ -79,13 +92,22 @@ class Settings:
         }
 
 
-def load_profile(name: str, overrides: Sequence[str] = ()) -> VehicleProfile:
-    """The profile `name` (shipped, or a .toml path) with `key=value` overrides. Raises UserError."""
-    path = find_profile(name)
-    values = read_toml(path)
+def load_profile(name: str | None, overrides: Sequence[str] = ()) -> VehicleProfile:
+    """The complete profile `name` (shipped, or a .toml path; None: nothing known) with `key=value` overrides.
+
+    Raises UserError.
+    """
+    values, origin = _written(name)
     parsed = [parse_override(text) for text in overrides]
     texts = {".".join(key): text for (key, _), text in zip(parsed, overrides, strict=True)}
-    return validated(VehicleProfile, apply_overrides(VehicleProfile, values, parsed), str(path), texts)
+    return validated(VehicleProfile, profile_values(values, parsed), origin, texts)
+
+
+def _written(name: str | None) -> tuple[dict[str, Any], str]:
+    if name is None:
+        return {}, "no profile"
+    path = find_profile(name)
+    return read_toml(path), str(path)
 
 
 def select_gains(profile: VehicleProfile, controller: str, level: str) -> ControllerGains:
@@ -107,17 +129,17 @@ def select_gains(profile: VehicleProfile, controller: str, level: str) -> Contro
 
 
 def load_settings(
-    profile: str = "qball2", flight: dict[str, Any] | None = None, overrides: Iterable[str] = ()
+    profile: str | None = "qball2", flight: dict[str, Any] | None = None, overrides: Iterable[str] = ()
 ) -> Settings:
-    """Settings from a profile, the flight's own values and `--set` overrides.
+    """Settings from a profile (None: everything from the autopilot), the flight's own values and `--set` overrides.
 
     Override keys start with `flight.`, `profile.` or `gains.`; the last means the gains of the controller and
     level that are flown, e.g. `gains.position_loop.K_U=[2, 2, 12]`. Raises UserError with all that is wrong.
     """
-    rooms: dict[str, list[tuple[list[str], Any]]] = {"flight": [], "profile": [], "gains": []}
+    rooms: dict[str, list[Override]] = {"flight": [], "profile": [], "gains": []}
     texts: dict[str, dict[str, str]] = {"flight": {}, "profile": {}, "gains": {}}
-    given = tuple(overrides)
-    for text in given:
+    all_given = tuple(overrides)
+    for text in all_given:
         path, value = parse_override(text)
         if path[0] not in rooms or len(path) < 2:
             raise UserError(
@@ -132,15 +154,30 @@ def load_settings(
         "flight settings",
         texts["flight"],
     )
-    path = find_profile(profile)
-    values = apply_overrides(VehicleProfile, read_toml(path), rooms["profile"])
-    vehicle = validated(VehicleProfile, values, str(path), texts["profile"])
+    values, origin = _written(profile)
+    given = Given(values, origin, tuple(rooms["profile"]), tuple(rooms["gains"]), texts)
+    settings = resolved(flown, given, all_given)
+    if settings.level is ControlLevel.ACTUATOR:
+        require_torque_numbers(values, given.profile_overrides, origin)
+    return settings
+
+
+def resolved(
+    flown: FlightSettings,
+    given: Given,
+    overrides: tuple[str, ...],
+    read: Mapping[str, Any] | None = None,
+    autopilot: str | None = None,
+) -> Settings:
+    """Settings from what was given and, below it, the tables that `autopilot` told. Raises UserError."""
+    values = profile_values(given.profile, given.profile_overrides, read, autopilot)
+    vehicle = validated(VehicleProfile, values, given.origin, given.texts["profile"])
     gains = select_gains(vehicle, flown.controller, flown.level)
-    changed = apply_overrides(ControllerGains, gains.model_dump(), rooms["gains"])
+    changed = apply_overrides(ControllerGains, gains.model_dump(), given.gains_overrides)
     gains = validated(
-        ControllerGains, changed, f"gains of {flown.controller} at level {flown.level}", texts["gains"]
+        ControllerGains, changed, f"gains of {flown.controller} at level {flown.level}", given.texts["gains"]
     )
-    return Settings(flown, vehicle, gains, given)
+    return Settings(flown, vehicle, gains, overrides, given)
 
 
 def settings_from_tables(tables: dict[str, Any]) -> Settings:

@@ -12,10 +12,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from companion.autopilot.adapter import Finding, Verdict
-from companion.config.profile import VehicleProfile
-from companion.config.settings import FlightSettings
 from companion.control.structs import ControlLevel
 from companion.flight.changed_parameters import ChangedParameters
+from companion.flight.known_vehicle import KnownVehicle
 from companion.flight.outcome import Refused, WaitedTooLong
 from companion.flight.pose_findings import pose_findings
 from companion.flight.reporter import Reporter
@@ -68,19 +67,17 @@ class Preflight:
     def __init__(
         self,
         vehicle: Vehicle,
-        level: ControlLevel,
-        settings: FlightSettings,
-        profile: VehicleProfile,
+        known: KnownVehicle,
         reporter: Reporter,
         spare_share: float = 1.0,
     ) -> None:
         """`spare_share`: how much of the messages that are only good to have the line carries (`LinePlan`)."""
         self._spare_share = spare_share
         self._vehicle = vehicle
-        self._level = level
-        self._rate_hz = settings.rate_hz
-        self._settings = settings
-        self._profile = profile
+        self._known = known
+        self._level = known.settings.level
+        self._settings = known.settings.flight
+        self._rate_hz = self._settings.rate_hz
         self._reporter = reporter
         self._attitude: Message | None = None  # the newest ATTITUDE, where the autopilot sends it
         self.changed: list[tuple[str, float, float]] = []  # name, value before, value set
@@ -109,13 +106,15 @@ class Preflight:
 
     def parameter_findings(self) -> list[Finding]:
         """Read the parameters that matter and judge them."""
-        vehicle, profile = self._vehicle, self._profile
+        vehicle = self._vehicle
         vehicle.read_parameters(vehicle.adapter.parameters_needed())
         values = vehicle.parameters.values
         if vehicle.outside_poses is not None:
             vehicle.read_parameters(vehicle.adapter.pose_parameters)
             vehicle.poses_are_used = vehicle.adapter.uses_poses(values)
         vehicle.adapter = vehicle.adapter.suited(values)
+        self._known.learn(vehicle)
+        profile = self._known.profile
         findings = vehicle.adapter.check(values, self._level, vehicle.version)
         cut_deg, asked_deg = vehicle.adapter.tilt_limit_deg(values), profile.limits.tilt_max_deg
         if self._level is ControlLevel.ATTITUDE and cut_deg < asked_deg:

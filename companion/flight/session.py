@@ -19,6 +19,7 @@ import numpy as np
 from companion.autopilot.adapter import Finding, Verdict
 from companion.autopilot.hover_thrust import HoverThrustEstimator
 from companion.autopilot.thrust import ThrustScale, mixer_of
+from companion.config.provenance import Known, as_text
 from companion.config.settings import Settings
 from companion.control.law import ControlLaw
 from companion.control.prediction import Predictor
@@ -27,6 +28,7 @@ from companion.control.structs import Vector
 from companion.flight import realtime
 from companion.flight.control_loop import ControlLoop
 from companion.flight.flight import Flight
+from companion.flight.known_vehicle import KnownVehicle
 from companion.flight.outcome import Refused
 from companion.flight.phases import Phase
 from companion.flight.plan import FlightPlan
@@ -121,13 +123,17 @@ def _fly(
                 wait_for_offboard=options.wait_for_offboard,
             )
 
-            def make_loop(known: Vehicle) -> ControlLoop:
-                return _control_loop(settings, known, recorder, reporter)
+            known = KnownVehicle(settings, reporter)
+
+            def make_loop(heard: Vehicle) -> ControlLoop:
+                log.attach("settings.json", json.dumps(known.settings.as_tables(), indent=1, sort_keys=True))
+                log.metadata("vehicle", {row.key: as_text(row) for row in known.provenance()})
+                return _control_loop(known.settings, heard, recorder, reporter)
 
             def check_plan(plan: FlightPlan, ground_m: float) -> None:
-                _check_plan(settings, plan, ground_m)
+                _check_plan(known.settings, plan, ground_m)
 
-            preflight = _preflight(settings, vehicle, reporter, plan)
+            preflight = _preflight(known, vehicle, reporter, plan)
             with _signals(Interrupts()) as interrupts:
                 flight = Flight(
                     vehicle,
@@ -157,11 +163,11 @@ def check(
     fix: bool = False,
     outside_poses: tuple[str, int] | None = None,
     restore: bool = False,
-) -> tuple[list[Finding], list[tuple[str, float, float]]]:
+) -> tuple[list[Finding], list[tuple[str, float, float]], list[Known]]:
     """Look at everything a flight with these settings depends on; change nothing, unless `fix` or `restore`.
 
     Poses that arrive at `outside_poses` (host, port) are forwarded meanwhile, as in a flight, and looked at, too.
-    Returns the findings, and what was set for good: name, value before, value now.
+    Returns the findings, what was set for good (name, value before, value now), and the vehicle's numbers that would fly.
 
     Raises:
         UserError: nobody there.
@@ -177,7 +183,8 @@ def check(
         vehicle.address = str(connection.endpoint)
         vehicle.connect(settings.flight.procedure.connect_timeout_s)
         reporter.say(f"{vehicle.firmware}, system {link.target_system}")
-        preflight = _preflight(settings, vehicle, reporter, plan)
+        known = KnownVehicle(settings, reporter)
+        preflight = _preflight(known, vehicle, reporter, plan)
         preflight.ask_for_streams()
         ground = preflight.ground_finding()
         findings = [ground, *preflight.parameter_findings()]
@@ -193,24 +200,16 @@ def check(
             preflight.wait_until_ready()
         measured = preflight.measure()
         findings += [*preflight.link_findings(measured), *preflight.vehicle_findings()]
-        return findings, preflight.changed
+        return findings, preflight.changed, known.provenance()
     finally:
         link.close()
         if poses is not None:
             poses.close()
 
 
-def _preflight(settings: Settings, vehicle: Vehicle, reporter: Reporter, plan: LinePlan | None) -> Preflight:
-    flight = settings.flight
+def _preflight(known: KnownVehicle, vehicle: Vehicle, reporter: Reporter, plan: LinePlan | None) -> Preflight:
     share = plan.spare_share if plan is not None else 1.0
-    return Preflight(
-        vehicle,
-        settings.level,
-        flight,
-        settings.profile,
-        reporter,
-        share,
-    )
+    return Preflight(vehicle, known, reporter, share)
 
 
 def _fitted(

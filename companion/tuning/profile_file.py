@@ -6,20 +6,21 @@ from pathlib import Path
 from typing import Any
 
 from companion.config.errors import UserError
-from companion.config.gains import ControllerGains, LeadGains, LoopGains
-
-NETWORK_ONLY = ("alpha", "boundary_width", "N", "kappa", "weight_bound", "residual_bound", "input_scales")
+from companion.config.gains import ControllerGains
 
 
 def gains_text(controller: str, level: str, gains: ControllerGains, remark: str = "") -> str:
-    """The tables `[controllers.<controller>.<level>...]`, defaults left out, `remark` as a comment above."""
+    """The tables `[controllers.<controller>.<level>...]`, complete, `remark` as a comment above.
+
+    What a profile leaves out is the common set's: so nothing is.
+    """
     head = f"controllers.{controller}.{level}"
     lines = [f"# {remark}"] if remark else []
-    plain = _table(gains.model_dump(), ControllerGains, ("position_loop", "attitude_loop", "lead"))
-    if plain:
-        lines += [f"[{head}]", *plain, ""]
-    for name, kind in (("position_loop", LoopGains), ("attitude_loop", LoopGains), ("lead", LeadGains)):
-        lines += [f"[{head}.{name}]", *_table(getattr(gains, name).model_dump(), kind), ""]
+    tables = gains.model_dump()
+    loops = ("position_loop", "attitude_loop", "lead")
+    lines += [f"[{head}]", *_table({name: tables[name] for name in tables if name not in loops}), ""]
+    for name in loops:
+        lines += [f"[{head}.{name}]", *_table(tables[name]), ""]
     return "\n".join(lines)
 
 
@@ -66,16 +67,8 @@ def _replaced(lines: list[str], head: str, block: str) -> str:
     return "\n".join(out + tail).rstrip("\n") + "\n"
 
 
-def _table(values: dict[str, Any], kind: Any, without: tuple[str, ...] = ()) -> list[str]:
-    lines = []
-    for name, value in values.items():
-        field = kind.model_fields[name]
-        if name in without or (
-            not field.is_required() and value == field.get_default(call_default_factory=True)
-        ):
-            continue
-        lines.append(f"{name} = {_number(value)}")
-    return lines
+def _table(values: dict[str, Any]) -> list[str]:
+    return [f"{name} = {_number(value)}" for name, value in values.items()]
 
 
 def _number(value: Any) -> str:

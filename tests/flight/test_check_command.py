@@ -63,7 +63,7 @@ def test_ardupilot_as_it_comes_is_refused_and_fixed_for_good(capsys) -> None:
         assert json.loads(output)["changed"] == []
         assert found["GUID_OPTIONS"] == ("refusal", "set GUID_OPTIONS to 8 (it is 0), or fly with --fix")
         assert found["ATC_ANGLE_BOOST"] == ("refusal", "set ATC_ANGLE_BOOST to 0, or fly with --fix")
-        assert found["tilt limit"][0] == "warning"
+        assert "tilt limit" not in found  # read off ATC_ANGLE_MAX, where no profile asks for more
         assert {what for what, (verdict, _) in found.items() if verdict == "refusal"} == {
             "GUID_OPTIONS",
             "ATC_ANGLE_BOOST",
@@ -73,6 +73,7 @@ def test_ardupilot_as_it_comes_is_refused_and_fixed_for_good(capsys) -> None:
         assert json.loads(output)["changed"] == [
             {"parameter": "GUID_OPTIONS", "before": 0.0, "now": 8.0},
             {"parameter": "ATC_ANGLE_BOOST", "before": 1.0, "now": 0.0},
+            {"parameter": "GUID_TIMEOUT", "before": 3.0, "now": 0.5},
         ]
 
 
@@ -81,7 +82,16 @@ def test_px4_is_flyable_and_actuators_are_not(capsys) -> None:
         code, output = checked(f"udpin:127.0.0.1:{port}", capsys)
         assert code == 0 and json.loads(output)["flyable"] is True
         assert verdicts(output)["round trip"][0] == "ok"
-        words = ["check", "--endpoint", f"udpin:127.0.0.1:{port}", "--level", "actuator", *PATIENT]
+        words = [
+            "check",
+            "--endpoint",
+            f"udpin:127.0.0.1:{port}",
+            "--level",
+            "actuator",
+            "--profile",
+            "qball2",
+            *PATIENT,
+        ]
         assert main(words) == 2
         table = " ".join(capsys.readouterr().out.split())
     assert "refusal" in table and "what mends it" in table
@@ -89,7 +99,7 @@ def test_px4_is_flyable_and_actuators_are_not(capsys) -> None:
 
 def refusals(endpoint: str, level: str, overrides: Sequence[str] = ()) -> dict[str, str]:
     settings = load_settings("qball2", {"level": level}, [PATIENT[1], *overrides])
-    findings, _ = check(settings, Connection(parse_endpoint(endpoint)), NoteTaker())
+    findings, _, _ = check(settings, Connection(parse_endpoint(endpoint)), NoteTaker())
     return {f.subject: f.found for f in findings if f.verdict.value == "refusal"}
 
 
@@ -121,7 +131,7 @@ def test_the_delay_of_each_stream_is_measured() -> None:
     with Stub(seed=1) as stub:
         stub.inject("link_delay", delay_s=0.04)
         for _ in range(8):
-            findings, _ = check(settings, Connection(parse_endpoint(stub.endpoint)), NoteTaker())
+            findings, _, _ = check(settings, Connection(parse_endpoint(stub.endpoint)), NoteTaker())
             delays = {f.subject.split()[-1]: f.found for f in findings if f.subject.startswith("delay of ")}
             ages_ms = {
                 name: float(re.search(r"age (\S+) ms", found).group(1)) for name, found in delays.items()

@@ -55,7 +55,7 @@ def test_what_was_never_heard_is_said_by_check(tmp_path, source):
     firmware = firmware_of(source)
     settings = load_settings("qball2", {}, ["flight.procedure.connect_timeout_s=120"])
     with lockstep_stub(*muted(tmp_path, source.message), firmware=firmware) as stub:
-        findings, _ = check(settings, Connection(parse_endpoint(stub.endpoint)), Reporter())
+        findings, _, _ = check(settings, Connection(parse_endpoint(stub.endpoint)), Reporter())
     found = next(f for f in findings if f.subject == source.message)
     assert found.verdict is source.verdict(LIMITS)
     assert found.found == "not heard" and "blind: " in found.why

@@ -110,7 +110,9 @@ def test_wrong_frames_are_refused_before_arming_with_what_they_look_like(tmp_pat
 
     def found(endpoint: str, pose_port: int) -> dict[str, tuple[str, str, str]]:
         poses = ("127.0.0.1", pose_port)
-        findings, _ = check(settings, Connection(parse_endpoint(endpoint)), NoteTaker(), outside_poses=poses)
+        findings, _, _ = check(
+            settings, Connection(parse_endpoint(endpoint)), NoteTaker(), outside_poses=poses
+        )
         return {f.subject: (f.verdict.value, f.found, f.remedy) for f in findings}
 
     with watched("--param", "EKF2_EV_CTRL=15") as (camera, endpoint, pose_port):

@@ -19,6 +19,7 @@ from companion.cli.main import COMMANDS
 from companion.cli.sitl import FIRMWARES
 from companion.config.load import read_toml, shipped_profiles, validated
 from companion.config.profile import VehicleProfile
+from companion.config.resolve import profile_values
 from companion.config.settings import GAINS_OF, load_settings
 from companion.control import laws, registry
 from companion.control.compiled import python_twin
@@ -237,7 +238,7 @@ def test_the_law_of_the_page_flies(monkeypatch: pytest.MonkeyPatch) -> None:
 
     values = read_toml(PROJECT / "companion" / "config" / "profiles" / "qball2.toml")
     values["controllers"] |= tomllib.loads(blocks(page, "toml")[0])["controllers"]
-    profile = validated(VehicleProfile, values, "adding_a_law.md")
+    profile = validated(VehicleProfile, profile_values(values), "adding_a_law.md")
     gains = profile.controllers["my_law"].attitude
     assert gains is not None
     law = registry.build_law("my_law", gains, profile, ControlLevel.ATTITUDE, seed=1)
