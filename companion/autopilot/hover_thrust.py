@@ -7,7 +7,7 @@ Along world z, a vehicle whose setpoint u has come through the rotors moves with
 A scalar Kalman filter follows c. The acceleration is taken from differences of the estimated vertical velocity over
 `SPAN_S`, the setpoint through the same dead time, rotor lag and span, so that the two belong together. Users
 have lost vehicles to such estimators running away on the ground or in saturation: there this one stands still, it
-never leaves `TRUST` times its first value, and it moves slowly.
+never leaves `TRUST` times what it was told and what the lift-off showed, and it moves slowly.
 """
 
 from __future__ import annotations
@@ -24,7 +24,13 @@ ACCELERATION_NOISE_M_S2 = 0.6
 FIRST_UNCERTAINTY = 0.25
 """Of the first value, relative: parameters are wrong by this much now and then."""
 TRUST = 1.6
-"""Bounds: first value divided by and multiplied by this."""
+"""Bounds: first value, and that of the lift-off, divided by and multiplied by this."""
+FURTHEST = 2.5
+"""A lift-off that tells a value farther than this from the first, as a factor, is not believed that far."""
+CONTRADICTED = 1.35
+"""Where a lift-off tells a value this far from the first, as a factor, the first was a guess: a stock parameter …"""
+GUESS_UNCERTAINTY = 0.6
+"""… and weighs as one, relative."""
 LIFT_OFF_UNCERTAINTY = 0.1
 """Of the value read off a lift-off, relative: ground effect, the estimator's delay."""
 GATE = 4.0
@@ -45,6 +51,7 @@ class HoverThrustEstimator:
     def __init__(self, first: float, dead_time_s: float, rotor_lag_rad_s: float) -> None:
         """Start at `first`; the setpoint acts after `dead_time_s` and a first-order lag of `rotor_lag_rad_s`."""
         self._first = first
+        self._least, self._most = first / TRUST, first * TRUST
         self._slope = GRAVITY / first
         self._variance = (FIRST_UNCERTAINTY * self._slope) ** 2
         self._dead_time_s = dead_time_s
@@ -82,7 +89,10 @@ class HoverThrustEstimator:
         b = math.sqrt(2.0 * max(velocity_up_m_s, 0.0) * slope_1_s / GRAVITY)
         root = 0.5 * (math.sqrt(b * b + 4.0 * max(thrust - slope_1_s * lag_s, 0.0)) - b)
         if root > 0.0:
-            hover = min(self._first * TRUST, max(self._first / TRUST, root * root))
+            hover = min(self._first * FURTHEST, max(self._first / FURTHEST, root * root))
+            self._least, self._most = min(self._least, hover / TRUST), max(self._most, hover * TRUST)
+            if not 1.0 / CONTRADICTED < hover / self._first < CONTRADICTED:
+                self._variance = (GUESS_UNCERTAINTY * self._slope) ** 2
             self._weigh(GRAVITY, hover, LIFT_OFF_UNCERTAINTY * GRAVITY)
 
     def update(self, time_s: float, velocity_up_m_s: float, cos_tilt: float, trusted: bool) -> None:
@@ -142,5 +152,4 @@ class HoverThrustEstimator:
         return True
 
     def _set_slope(self, slope: float) -> None:
-        least, most = GRAVITY / (self._first * TRUST), GRAVITY / (self._first / TRUST)
-        self._slope = min(most, max(least, slope))
+        self._slope = min(GRAVITY / self._least, max(GRAVITY / self._most, slope))
