@@ -88,7 +88,7 @@ def require_torque_numbers(given: Mapping[str, Any], overrides: Iterable[Overrid
     missing = [key for key in NEEDED_FOR_TORQUE if key not in keys and _at(given, key) is None]
     if missing:
         raise UserError(
-            f"level actuator commands torques, and {origin} does not say {', '.join(missing)}: no autopilot tells them; "
+            f"level actuator commands torques, and needs {', '.join(missing)}, which no autopilot tells ({origin}): "
             "write them into a profile and give it with --profile, or fly at --level attitude or body_rate"
         )
 

@@ -117,7 +117,8 @@ class Flight:
             self._write_down(self._descent.end(Refused(str(error))))
             raise
         except Exception as error:  # a mistake of ours must not leave a vehicle in the air
-            self._write_down(self._descent.end(Aborted(f"mistake in this program: {error!r}")))
+            result = self._write_down(self._descent.end(Aborted(f"mistake in this program: {error!r}")))
+            self._reporter.say(f"{result.outcome.value}: {result.text}")
             raise
         return self._write_down(result)
 

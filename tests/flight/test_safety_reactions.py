@@ -100,7 +100,7 @@ def test_hold_comes_to_rest_stays_and_is_landed(stub, tmp_path):
 
 def test_the_fall_back_switches_the_networks_off_without_a_bump(stub, tmp_path):
     share = "flight.safety.network_share"
-    settings = [f"{share}.warn=off", f"{share}.freeze=off", f"{share}.non_adaptive=[0.035, 0.4]"]
+    settings = [f"{share}.warn=off", f"{share}.freeze=off", f"{share}.non_adaptive=[0.02, 0.4]"]
     flown = fly_short(stub, tmp_path, settings=settings)
     assert flown.result.outcome is Outcome.COMPLETED  # it flies on
     began = entered(flown, "non_adaptive")
@@ -120,7 +120,7 @@ def test_the_fall_back_switches_the_networks_off_without_a_bump(stub, tmp_path):
     terms, steps = flown.record.channel("/terms"), flown.record.channel("/law_input")
     first = int(np.searchsorted(terms.time_s, began - 1e-9))
     before = np.linalg.norm(terms["position_network_term"][first - 1])
-    assert before > 0.5  # newtons: there was something to hand over
+    assert before > 0.25  # newtons: there was something to hand over
     assert np.abs(terms["position_network_term"][first]).max() < 1e-12
     force, typical = terms["force"], np.abs(np.diff(terms["force"][first - 30 : first], axis=0)).max()
     assert np.abs(force[first] - force[first - 1]).max() < max(0.1, 2.0 * typical)
@@ -428,7 +428,7 @@ def test_a_vehicle_that_does_not_say_whether_it_stands_is_refused(tmp_path, begi
     with lockstep_stub("--scenario", str(scenario)) as stub:
         flown = fly_short(stub, tmp_path, settings=settings)
     assert flown.result.outcome is Outcome.REFUSED
-    assert "does not say whether the vehicle is on the ground (EXTENDED_SYS_STATE)" in flown.result.text
+    assert "EXTENDED_SYS_STATE" in flown.result.text
     assert flown.armed == []
 
 

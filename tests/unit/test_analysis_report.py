@@ -210,8 +210,9 @@ def test_without_the_report_extra_the_remedy_is_named(logs, tmp_path, monkeypatc
 
 
 def test_a_report_that_cannot_be_written_is_an_error_of_the_user(logs, tmp_path):
+    (tmp_path / "file").write_text("")
     with pytest.raises(UserError, match="cannot write the report"):
-        write_comparison_report(compare_logs(logs[:1]), tmp_path / "no folder" / "r.html")
+        write_comparison_report(compare_logs(logs[:1]), tmp_path / "file" / "r.html")
 
 
 def test_thinning_keeps_the_peaks():

@@ -27,6 +27,7 @@ sys.exit(cli.main(["fly"]))
 """
 INTERRUPTED_AT_IMPORT = """
 import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job inherits that it is ignored
 class Finder:
     def find_spec(self, name, path=None, target=None):
         if name == WHERE:
@@ -37,7 +38,8 @@ from companion.cli.main import main
 sys.exit(main(ARGUMENTS))
 """
 INTERRUPTED_IN_A_CALLBACK = """
-import sys, time
+import signal, sys, time
+signal.signal(signal.SIGINT, signal.default_int_handler)
 from companion.cli import main as cli
 class Callback:
     def __del__(self):

@@ -7,7 +7,7 @@ from companion.config.errors import UserError
 from companion.config.load import find_profile, shipped_profiles
 from companion.config.settings import load_profile, load_settings, select_gains
 from companion.control.certificates import broken_conditions
-from companion.control.registry import LAWS
+from companion.control.laws import LAWS
 from companion.control.structs import ControlLevel
 
 

@@ -130,6 +130,9 @@ def test_lead_and_prediction_pay():
     assert whole < 0.5 * flown(none, Predictor(profile, level))
 
 
+QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+
 def test_lyapunov_function_falls_in_the_ideal_case():
     """The law itself on m p̈ = f − m g e₃ with an ideal network: V_p of (20), true m and W, never rises.
 
@@ -176,8 +179,9 @@ def test_lyapunov_function_falls_in_the_ideal_case():
             )
         )
         # f_W of (10) as the network's own function, and the force applied exactly: ideal actuators
-        gamma = np.concatenate([[1], v, np.zeros(3), t.U_rate])
-        disturbance = W.T @ np.tanh(law.parameters.position_V.T @ gamma)
+        # the network's axes go with the desired heading: facing east they are a quarter turn from ENU
+        gamma = np.concatenate([[1], QUARTER @ v, np.zeros(3), QUARTER @ t.U_rate])
+        disturbance = QUARTER.T @ (W.T @ np.tanh(law.parameters.position_V.T @ gamma))
         # so that f_W of Eq. (10), which holds m̂ K_p ė, is Wᵀσ in all
         force = t.total - disturbance + true_mass * np.array(g.K_e) * t.error_rate
         a = force / true_mass - [0, 0, 9.81]
