@@ -80,8 +80,8 @@ class Endpoint:
         return f"{self.kind.value}://{self._host_in_brackets}:{self.number}"
 
 
-def parse_endpoint(text: str) -> Endpoint:
-    """Parse an address in either spelling.
+def parse_endpoint(text: str, listen_on: str = "0.0.0.0") -> Endpoint:
+    """Parse an address in either spelling; `listen_on`: the host of one that listens and names none.
 
     Raises:
         UserError: naming what is wrong with the address and showing one that works.
@@ -110,7 +110,7 @@ def parse_endpoint(text: str) -> Endpoint:
         raise UserError(
             f"endpoint {text!r}: names no port; use for example {kind.value}:{rest or '127.0.0.1'}:14540"
         )
-    host = checked_host(f"endpoint {text!r}", host) or ("0.0.0.0" if kind in _LISTENING else "127.0.0.1")
+    host = checked_host(f"endpoint {text!r}", host) or (listen_on if kind in _LISTENING else "127.0.0.1")
     return Endpoint(kind, host, _number(text, port, "port", 65535))
 
 

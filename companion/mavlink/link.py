@@ -74,18 +74,20 @@ class Link:
         now_ns: Callable[[], int] = time.monotonic_ns,
         signer: Signer | None = None,
         system: int | None = None,
+        component: int = OUR_COMPONENT,
     ) -> None:
         """Speak over `transport`; with a `signer` everything is signed and nothing unsigned is believed.
 
-        `system`: of the autopilot that is meant; None: whoever is heard first.
+        `system`: of the autopilot that is meant; None: whoever is heard first. `component`: ours.
         """
         self._transport = transport
+        self.component = component
         self.system_wanted = system
         self.other_autopilots: dict[int, str] = {}
         """Autopilots on this wire that are not ours: system id, and how a person would call it."""
         self.signer = signer
         self._framer = Framer(mav.mavlink_map, stream=not transport.datagrams)
-        self._codec = mav.MAVLink(None, srcSystem=1, srcComponent=OUR_COMPONENT)
+        self._codec = mav.MAVLink(None, srcSystem=1, srcComponent=component)
         self._tap = tap
         self._now_ns = now_ns
         self._last_heartbeat_ns = 0
@@ -208,7 +210,7 @@ class Link:
             system, component = (*message.msg_payload[16:18], 0, 0)[:2]
         else:
             system, component = message.target_system, message.target_component
-        return system in (0, self.target_system) and component in (0, OUR_COMPONENT)
+        return system in (0, self.target_system) and component in (0, self.component)
 
     def _take_time_answer(self, message: Received) -> None:
         """Only an answer to a question of ours counts, and once: TIMESYNC goes to everybody on the network."""
@@ -234,7 +236,7 @@ class Link:
         """Whoever commands the companion itself, signed or not: it takes no commands, and says so when asked by name."""
         if message.msg_id not in _COMMANDS or self.target_system is None:
             return
-        if (message.target_system, message.target_component) != (self.target_system, OUR_COMPONENT):
+        if (message.target_system, message.target_component) != (self.target_system, self.component):
             return
         self.counters["commands refused"] += 1
         now_ns = self._now_ns()
@@ -255,31 +257,22 @@ class Link:
     def _is_our_autopilot(self, message: Received) -> bool:
         system, component = message.msg_system, message.msg_component
         wanted = self.system_wanted in (None, system)
-        if self.target_system is None and wanted and self._is_autopilot(message):
+        if self.target_system is None and wanted and is_autopilots(message):
             self.target_system = system
             self._codec.srcSystem = system
         if system != self.target_system or component != AUTOPILOT_COMPONENT:
             self._note_other(message)
             return False
-        if message.msg_id == _HEARTBEAT and not self._is_autopilot(message):
+        if message.msg_id == _HEARTBEAT and not is_autopilots(message):
             self.counters["other senders"] += 1  # somebody who took the autopilot's numbers
             return False
         self._transport.believe_sender()
         return True
 
-    def _is_autopilot(self, message: Received) -> bool:
-        return bool(
-            message.msg_id == _HEARTBEAT
-            and message.msg_system != 0  # means everybody, and is nobody's
-            and message.msg_component == AUTOPILOT_COMPONENT
-            and message.autopilot != mav.MAV_AUTOPILOT_INVALID
-            and message.type not in _NOT_VEHICLES
-        )
-
     def _note_other(self, message: Received) -> None:
         """Count a frame of somebody else; another autopilot is remembered."""
         system = message.msg_system
-        if self._is_autopilot(message):
+        if is_autopilots(message):
             name = _AUTOPILOT_NAMES.get(message.autopilot, f"MAV_AUTOPILOT {message.autopilot}")
             self.other_autopilots[system] = f"{name}, system {system}"
         known = system in self.other_autopilots and message.msg_component == AUTOPILOT_COMPONENT
@@ -402,3 +395,14 @@ class Link:
         self._transport.close()
         if self.signer is not None:
             self.signer.close()
+
+
+def is_autopilots(message: Received) -> bool:
+    """Whether it is the HEARTBEAT of an autopilot that has a vehicle."""
+    return bool(
+        message.msg_id == _HEARTBEAT
+        and message.msg_system != 0  # means everybody, and is nobody's
+        and message.msg_component == AUTOPILOT_COMPONENT
+        and message.autopilot != mav.MAV_AUTOPILOT_INVALID
+        and message.type not in _NOT_VEHICLES
+    )

@@ -48,6 +48,10 @@ class Transport:
         """Block until something can be received, at most `timeout_s`; say whether something can."""
         raise NotImplementedError
 
+    def fileno(self) -> int:
+        """What to wait on together with other wires; −1 while there is none, and `wait` tries to open it again."""
+        return -1
+
     def receive(self) -> list[bytes]:
         """All chunks waiting now (bounded), without blocking."""
         raise NotImplementedError
@@ -86,8 +90,10 @@ class UdpTransport(Transport):
 
     datagrams = True
 
-    def __init__(self, endpoint: Endpoint) -> None:
+    def __init__(self, endpoint: Endpoint, chunks_per_read: int = CHUNKS_PER_READ) -> None:
+        """`chunks_per_read`: how many datagrams one `receive` returns at most."""
         super().__init__()
+        self._chunks_per_read = chunks_per_read
         self._fixed_peer = endpoint.kind is EndpointKind.UDP_OUT
         self._peer_heard_s = 0.0
         self._last_sender: Address | None = None
@@ -121,6 +127,10 @@ class UdpTransport(Transport):
         if self.peer is not None:
             self._filtered = hear_only(self._socket, self.peer)
 
+    def fileno(self) -> int:
+        """See `Transport.fileno`."""
+        return self._socket.fileno()
+
     def wait(self, timeout_s: float) -> bool:
         """See `Transport.wait`."""
         if self._filtered and not self._fixed_peer and time.monotonic() - self._peer_heard_s > PEER_SILENT_S:
@@ -132,7 +142,7 @@ class UdpTransport(Transport):
         """See `Transport.receive`. While the peer speaks, other senders' datagrams are dropped unread."""
         chunks = []
         now_s = time.monotonic()
-        for _ in range(CHUNKS_PER_READ):
+        for _ in range(self._chunks_per_read):
             try:
                 data, sender = self._socket.recvfrom(65535)
             except BlockingIOError:
@@ -252,6 +262,10 @@ class StreamTransport(Transport):
             return _detached(socket.create_connection(address, timeout=timeout_s))
         self._listener.settimeout(timeout_s)
         return _detached(self._listener.accept()[0])
+
+    def fileno(self) -> int:
+        """See `Transport.fileno`."""
+        return -1 if self._file is None else self._file
 
     def wait(self, timeout_s: float) -> bool:
         """See `Transport.wait`."""
