@@ -23,7 +23,7 @@ LONGEST_S = 3600.0
 
 
 class BadPoint(ValueError):
-    """A point that is not followed; the text says why, for the client and the log."""
+    """A point that is not followed. The text says why, for the client and the log; what stands before a colon is counted."""
 
 
 def unknown() -> Vector:
@@ -55,7 +55,7 @@ class Point:
             if np.isinf(value).any():
                 raise BadPoint(f"{name} is infinite")
             if np.nanmax(np.abs(value), initial=0.0) > bound:
-                raise BadPoint(f"{name} {_numbers(value)} {unit} is beyond {bound:g} {unit}")
+                raise BadPoint(f"{name}: {_numbers(value)} {unit} is beyond {bound:g} {unit}")
         for name, angle in (("yaw", self.yaw_rad), ("yaw rate", self.yaw_rate_rad_s), ("time", self.time_s)):
             if math.isinf(angle):
                 raise BadPoint(f"{name} is infinite")
@@ -83,7 +83,7 @@ class PolynomialPiece:
         if not np.isfinite(self.coefficients[:3]).all() or np.isinf(self.coefficients[3]).any():
             raise BadPoint("a coefficient is not a finite number")
         if not 0.0 < self.duration_s <= LONGEST_S:
-            raise BadPoint(f"duration {self.duration_s:g} s is not between 0 and {LONGEST_S:g} s")
+            raise BadPoint(f"duration: {self.duration_s:g} s is not between 0 and {LONGEST_S:g} s")
         times = np.linspace(0.0, self.duration_s, 20)[:, None] ** np.arange(shape[1])
         if np.abs(times @ self.coefficients[:3].T).max() > FARTHEST_M:
             raise BadPoint(f"leads farther than {FARTHEST_M:g} m")
