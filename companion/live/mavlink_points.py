@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.control.structs import Vector, VehicleState
+from companion.control.structs import Vector
 from companion.live.json_points import Asked
 from companion.live.point import BadPoint, Point, PolynomialPiece
 from companion.mavlink.frames import enu_from_global, enu_from_ned, yaw_enu_from_ned
@@ -43,7 +43,7 @@ _QUARTER_TURN = math.pi / 2
 class Surroundings:
     """What of the vehicle a message may count from."""
 
-    state: VehicleState | None
+    position_enu: Vector | None  # (3,) m
     yaw_rad: float  # ENU
     origin: tuple[float, float, float] | None  # of the local frame: latitude °, longitude °, altitude m
     ground_m: float  # height of the place of take-off in the local frame
@@ -113,9 +113,9 @@ class MavlinkPoints:
             )
             yaw_frame = around.yaw_rad - _QUARTER_TURN if frame in _BODY else 0.0
             if frame in _FROM_VEHICLE and not np.isnan(position).all():
-                if around.state is None:
+                if around.position_enu is None:
                     raise BadPoint("the vehicle's position is not known yet")
-                position = around.state.position_enu + _turned(position, yaw_frame)
+                position = around.position_enu + _turned(position, yaw_frame)
         yaw = yaw_rate = math.nan
         if not mask & _NO_YAW:
             yaw = yaw_enu_from_ned(_finite("yaw", message.yaw))

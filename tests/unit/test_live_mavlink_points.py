@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 
-from companion.control.structs import VehicleState
 from companion.live.follower import Follower
 from companion.live.mavlink_points import MavlinkPoints, Surroundings
 from companion.live.point import BadPoint, Point, PolynomialPiece
@@ -24,8 +23,7 @@ P, V, A, FORCE, YAW, RATE = 0x7, 0x38, 0x1C0, 0x200, 0x400, 0x800
 
 
 def around(yaw_rad: float = HEADING_NORTH, **changed: object) -> Surroundings:
-    state = VehicleState(1.0, AT, np.zeros(3), np.array([1.0, 0, 0, 0]), np.zeros(3))
-    known = {"state": state, "yaw_rad": yaw_rad, "origin": (47.0, 8.0, 400.0), "ground_m": -1.0}
+    known = {"position_enu": AT, "yaw_rad": yaw_rad, "origin": (47.0, 8.0, 400.0), "ground_m": -1.0}
     return Surroundings(**{**known, "system": SYSTEM, **changed})  # type: ignore[arg-type]
 
 
@@ -115,7 +113,7 @@ def test_global_positions_lie_about_the_origin(frame: int, height: float) -> Non
         (local(FORCE), around(), "setpoints of force"),
         (local(A, frame=12), around(), "frame: 12 is not flown"),
         (local(A, to=3), around(), "for another: system 3, and we fly 7"),
-        (local(A, frame=BODY), around(state=None), "position is not known yet"),
+        (local(A, frame=BODY), around(position_enu=None), "position is not known yet"),
         (
             mav.MAVLink_set_position_target_global_int_message(0, 7, 1, 11, A, 0, 0, 5, 0, 0, 0, 0, 0, 0, 0, 0),
             around(), "heights above terrain",
