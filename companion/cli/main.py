@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 COMMANDS = (
     "fly",
+    "serve",
     "check",
     "analyze",
     "compare",

@@ -138,6 +138,11 @@ class ControlLoop:
         return self._sender.thrust.hover_thrust
 
     @property
+    def world_moved(self) -> bool:
+        """Whether the estimator has been reset since the law took over: the plan went along."""
+        return self._shift_enu is not None or self._shift_yaw_rad != 0.0
+
+    @property
     def state_delay_s(self) -> float:
         """By how much states are predicted ahead."""
         return self._predictor.delay_s
@@ -215,6 +220,7 @@ class ControlLoop:
     def _begin(self, plan: FlightPlan, state: VehicleState, seen: VehicleState) -> None:
         """Follow `plan` from `state` on; the law takes over at the state `seen`, which it would be shown next."""
         self._plan, self._plan_started_s = plan, state.time_s
+        self._reaction, self._terms, self.held = Reaction.NONE, None, ""
         self._shift_enu, self._shift_yaw_rad = None, 0.0
         self._jump_enu = None
         self._sender.thrust = replace(self._sender.thrust, hover_thrust=self._hover.hover_thrust)

@@ -85,11 +85,7 @@ class Preflight:
     def ask_for_streams(self) -> None:
         """Ask for what a flight needs, and for what is good to have in its log."""
         vehicle = self._vehicle
-        needed = {
-            mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED: min(self._rate_hz, POSITION_RATE_HZ),
-            mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: self._rate_hz,
-        }
-        for message_id, rate in needed.items():
+        for message_id, rate in self._needed_hz.items():
             if not vehicle.ask_for_stream(message_id, rate):
                 self._reporter.say(
                     f"the autopilot refused message {message_id} at {rate:g} Hz; using what it sends"
@@ -103,6 +99,19 @@ class Preflight:
             # a refusal is an answer too
             vehicle.command(message_interval(message_id, spare_rate(rate, self._spare_share)))
         vehicle.command(request_message(mav.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN))
+
+    @property
+    def _needed_hz(self) -> dict[int, float]:
+        return {
+            mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED: min(self._rate_hz, POSITION_RATE_HZ),
+            mav.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: self._rate_hz,
+        }
+
+    def ask_again(self) -> None:
+        """Ask for the same without waiting for an answer: somebody else on the link has asked for other rates."""
+        for message_id, rate in {**self._needed_hz, **GOOD_TO_HAVE_HZ}.items():
+            share = 1.0 if message_id in self._needed_hz else self._spare_share
+            self._vehicle.commands.send(message_interval(message_id, spare_rate(rate, share)))
 
     def parameter_findings(self) -> list[Finding]:
         """Read the parameters that matter and judge them."""

@@ -37,16 +37,18 @@ class Connection:
         Raises:
             UserError: the key cannot be read, the library is not installed, or the endpoint cannot be opened.
         """
-        signer = None
-        if self.signing_key is not None:
-            key = read_key(self.signing_key)
-            if open_to_others(self.signing_key):
-                say(
-                    f"warning: other users can read {self.signing_key}; run `chmod 600 {self.signing_key.name}`"
-                )
-            signer = Signer(key, remembered=state_path(key))
+        signer = self.signer(say)
         if self.library is LinkLibrary.MAVSDK:
             from companion.mavlink.mavsdk_link import MavsdkTransport
 
             return Link(MavsdkTransport(self.endpoint), signer=signer, system=self.system)
         return Link(open_transport(self.endpoint), signer=signer, system=self.system)
+
+    def signer(self, say: Callable[[str], None] = lambda _: None) -> Signer | None:
+        """What signs and judges with our key; None without one. Raises UserError where the key cannot be read."""
+        if self.signing_key is None:
+            return None
+        key = read_key(self.signing_key)
+        if open_to_others(self.signing_key):
+            say(f"warning: other users can read {self.signing_key}; run `chmod 600 {self.signing_key.name}`")
+        return Signer(key, remembered=state_path(key))

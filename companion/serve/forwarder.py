@@ -30,6 +30,8 @@ from companion.serve.setpoint_switch import SetpointSwitch
 LAW_COMPONENT: int = mav.MAV_COMP_ID_ONBOARD_COMPUTER2
 """Our own component behind `serve`: clients on a companion computer are 191 as a rule, and answers must not be mixed up."""
 TAKE = struct.Struct("<cB")  # b"T", the autopilot's system
+READY = b"R"
+"""From here on the law listens: until then nothing is sent that it could not read in time."""
 LET_GO = b"L"
 LAPSED = b"L"
 """Told to the law: it had taken over and sent nothing."""
@@ -130,6 +132,7 @@ class Forwarder:
         self.switch = SetpointSwitch(None if demand_signing else signer)
         self._law: socket.socket | None = None
         self._law_control: socket.socket | None = None
+        self._law_listens = False
         self._autopilot_frames = Frames(autopilot.datagrams)
         self._believed: object = None if autopilot.datagrams else autopilot.sender
         self._spoken_by_law: dict[int, None] = {}  # TIMESYNC questions
@@ -145,7 +148,7 @@ class Forwarder:
         self.dismiss()
         law.setblocking(False)
         control.setblocking(False)
-        self._law, self._law_control = law, control
+        self._law, self._law_control, self._law_listens = law, control, False
         self._spoken_by_law.clear()
 
     def dismiss(self) -> None:
@@ -279,7 +282,7 @@ class Forwarder:
     # The law --------------------------------------------------------------------------------------------
 
     def _to_law(self, frames: list[bytes], chunk: bytes) -> None:
-        if self._law is None:
+        if self._law is None or not self._law_listens:
             return
         for part in [chunk] if self._autopilot.datagrams else joined(frames):
             try:
@@ -299,7 +302,9 @@ class Forwarder:
                 if not order:
                     self._lost_law()
                     return
-                if order == LET_GO:
+                if order == READY:
+                    self._law_listens = True
+                elif order == LET_GO:
                     self._let_go()
                 elif len(order) == TAKE.size:
                     self.switch.take(TAKE.unpack(order)[1], time.monotonic())
@@ -342,7 +347,7 @@ class Forwarder:
             self._autopilot.send(held_back)
 
     def _tell_law(self, data: bytes) -> None:
-        if self._law_control is None:
+        if self._law_control is None or not self._law_listens:
             return
         try:
             self._law_control.send(data)

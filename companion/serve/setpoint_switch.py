@@ -8,7 +8,6 @@ last word of its client, as without us. Nothing here reads a clock or knows a so
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Hashable
 
 from companion.mavlink.framing import message_id
 from companion.mavlink.layouts import mav
@@ -38,7 +37,7 @@ class SetpointSwitch:
     def __init__(self, signer: Signer | None = None) -> None:
         """With a `signer`, as our own setpoints are signed: one that is not signed with its key is never flown by us."""
         self._signer = signer
-        self._source: Hashable = None
+        self._source: object = None
         self._source_s = -ONE_SOURCE_S
         self._own_business_s = -OWN_BUSINESS_S
         self._flown_s = 0.0  # the law's newest setpoint
@@ -59,7 +58,7 @@ class SetpointSwitch:
             return None
         return held_back[0]
 
-    def from_client(self, client: Hashable, frame: bytes, now_s: float) -> tuple[bool, bool]:
+    def from_client(self, client: object, frame: bytes, now_s: float) -> tuple[bool, bool]:
         """Whether a client's frame goes to the autopilot, and whether the law has to see it."""
         kind = message_id(frame)
         if kind not in SETPOINTS:
@@ -73,7 +72,7 @@ class SetpointSwitch:
         if kind in ATTITUDE_SETPOINTS:
             self._own_business_s = now_s
             return True, True
-        if client != self._source:
+        if client is not self._source:
             if now_s - self._source_s < ONE_SOURCE_S:
                 self.counters["setpoints of a second client"] += 1
                 return not self.taken, False

@@ -16,7 +16,7 @@ from companion.mavlink.layouts import mav
 from companion.mavlink.signing import Signer
 from companion.mavlink.transport import open_transport
 from companion.serve.client_wires import open_door
-from companion.serve.forwarder import LAW_COMPONENT, LET_GO, TAKE, Forwarder, joined, whole_frames
+from companion.serve.forwarder import LAW_COMPONENT, LET_GO, READY, TAKE, Forwarder, joined, whole_frames
 
 HERE = "127.0.0.1"
 KEY = bytes(range(32))
@@ -100,6 +100,8 @@ class Served:
         for ours, _ in pairs:
             ours.settimeout(5.0)
         self.forwarder.employ(pairs[0][1], pairs[1][1])
+        pairs[1][0].send(READY)
+        assert until(lambda: self.forwarder._law_listens)
         return pairs[0][0], pairs[1][0]
 
     def from_vehicle(self, data: bytes) -> None:
@@ -244,15 +246,15 @@ def test_the_law_hears_the_vehicle_and_flies_what_clients_ask_for(served: tuple[
     client.send(packed(POSITION), port)
     assert run.autopilot.receive() == control.recv(4096) == packed(POSITION)
     law.send(packed(ATTITUDE, 1, LAW_COMPONENT))  # has not taken over
+    assert until(lambda: run.forwarder.switch.counters["setpoints of the law held back"] == 1)
     control.send(TAKE.pack(b"T", 1))
-    law.send(packed(ATTITUDE, 1, LAW_COMPONENT) + b"")
+    law.send(packed(ATTITUDE, 1, LAW_COMPONENT))
     assert run.autopilot.receive() == packed(ATTITUDE, 1, LAW_COMPONENT)
     client.send(packed(POSITION) + packed(PING), port)
     assert control.recv(4096) == packed(POSITION)
     assert run.autopilot.receive() == packed(PING)
     control.send(LET_GO)
     assert run.autopilot.receive() == packed(POSITION)  # held back, and its client's last word
-    assert run.forwarder.switch.counters["setpoints of the law held back"] == 1
 
 
 def test_when_the_law_dies_setpoints_are_passed_on(served: tuple[Served, Wire, int]) -> None:
