@@ -267,6 +267,11 @@ class ControlLoop:
         self._leaving, self._sender.watchdog = True, None
         self.activity = Activity.LEVEL
 
+    def leave_level(self, state: VehicleState) -> None:
+        """Leave a level setpoint standing, with hover thrust: whoever comes next may need a moment."""
+        self._level_quaternion = level_with_heading(yaw_of(state.quaternion_wxyz))
+        self._send_level(state, self._sender.thrust.hover_thrust)
+
     def stop(self) -> None:
         """Send nothing any more."""
         self.activity = Activity.NOTHING

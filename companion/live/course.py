@@ -46,3 +46,13 @@ def reference_of(table: Vector) -> Reference:
     return Reference(
         table[0, :3], table[1, :3], table[2, :3], table[3, :3], table[4, :3], yaw, yaw_rate, yaw_acceleration
     )
+
+
+def table_of(reference: Reference) -> Vector:
+    """(5, 4), `reference_of` turned round; yaw's jerk and snap are not known to a reference: 0."""
+    table = np.zeros((5, 4))
+    table[0, :3], table[1, :3] = reference.position_enu, reference.velocity_enu
+    table[2, :3], table[3, :3] = reference.acceleration_enu, reference.jerk_enu
+    table[4, :3] = reference.snap_enu
+    table[:3, 3] = reference.yaw_rad, reference.yaw_rate_rad_s, reference.yaw_acceleration_rad_s2
+    return table

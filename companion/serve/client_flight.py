@@ -26,10 +26,13 @@ from companion.flight.plan import FlightPlan
 from companion.flight.realtime import LoopWatchdog
 from companion.flight.stage import FlightResult
 from companion.flight.vehicle import HANDLED
+from companion.live.course import reference_of, table_of
 from companion.live.follower import LOOK_AHEAD_S, Follower
 from companion.live.mavlink_points import Surroundings
+from companion.live.offsets import Way, way_out
 from companion.mavlink.link import Message, mav
 from companion.mavlink.protocol import request_message
+from companion.reference.trajectory import wrapped
 from companion.serve.client_setpoints import LOST_S, ClientSetpoints
 
 ABOVE_M = 1.0
@@ -40,6 +43,8 @@ SAID_AFTER_S = 1.0
 """A reason against engaging that lasts for so long is said."""
 AGAIN_AFTER_S = 5.0
 """Between two words on why not."""
+CHANGES_WITHIN_S = 0.6
+"""PX4 publishes vehicle_control_mode every 0.5 s while its mode stays."""
 LONGEST_S = 1e6
 _HOME_POSITION: int = mav.MAVLINK_MSG_ID_HOME_POSITION
 _ATTITUDE_TARGET: int = mav.MAVLINK_MSG_ID_ATTITUDE_TARGET
@@ -61,17 +66,28 @@ class SteppedBack(FlightEnd):
 
 
 class _Followed:
-    """A follower as the trajectory of a plan that began at `started_s`."""
+    """A follower as the trajectory of a plan that began at `started_s`, where the vehicle was and as it moved.
+
+    The follower begins on the client's stream; what the vehicle is off it dies away within the limits of a transit.
+    """
 
     duration_s = math.inf
 
-    def __init__(self, follower: Follower, started_s: float) -> None:
+    def __init__(self, follower: Follower, started_s: float, off: Way) -> None:
         self._follower = follower
         self._started_s = started_s
+        self._off: Way | None = off
 
     def sample(self, time_s: float) -> Reference:
         """See `Trajectory`."""
-        return self._follower.sample(self._started_s + time_s)
+        at_s = self._started_s + time_s
+        reference = self._follower.sample(at_s)
+        if self._off is None:
+            return reference
+        if at_s >= self._off.end_s:
+            self._off = None
+            return reference
+        return reference_of(table_of(reference) + self._off.at(at_s))
 
 
 class ClientFlight(Flight):
@@ -185,12 +201,21 @@ class ClientFlight(Flight):
         stage.ground_m = float(engagement.home_enu[2])
         vehicle.link.look_out(False)
         self._pilot.sticks_are_at_rest()
+        self.clients.hold_back(vehicle.link.target_system)
+        if vehicle.adapter.wants_setpoints_first:
+            self._change_controllers(engagement)
+        state = vehicle.state
+        assert state is not None
         limits = self._transit_limits(stage.ground_m)
-        follower = Follower(engagement.start, state.time_s + LOOK_AHEAD_S, limits)
-        self.clients.take(vehicle.link.target_system, follower)
-        followed = _Followed(follower, state.time_s)
-        stage.plan = FlightPlan([(Phase.TRACK, followed, LONGEST_S)])
-        watching = self._watch_over(at_rest(engagement.home_enu, engagement.start.yaw_rad))
+        start, stream = engagement.start, self.clients.newest(engagement.start)
+        gap = table_of(start) - table_of(stream)
+        gap[0, 3] = wrapped(float(gap[0, 3]))
+        follower = Follower(stream, state.time_s + LOOK_AHEAD_S, limits)
+        self.clients.follow(follower)
+        stage.plan = FlightPlan(
+            [(Phase.TRACK, _Followed(follower, state.time_s, way_out(gap, limits, state.time_s)), LONGEST_S)]
+        )
+        watching = self._watch_over(at_rest(engagement.home_enu, start.yaw_rad))
         engagement.begin(stage.plan, watching)
         stage.enter(Phase.TRACK)
         self._recorder.log.event("tracking", state.time_s, active=True)
@@ -199,6 +224,16 @@ class ClientFlight(Flight):
             f"flying the client's setpoints, hover thrust {self._loop.hover_thrust:.2f}",
             mav.MAV_SEVERITY_NOTICE,
         )
+
+    def _change_controllers(self, engagement: Engagement) -> None:
+        """PX4 looks only twice a second which of its controllers a setpoint is for: till then its position controller
+        goes on with the client's last one, and what we ask for has to be what the vehicle does anyhow.
+        """
+        vehicle = self._vehicle
+        self._stage.enter(Phase.PROVE)
+        engagement.prove()
+        begun_s = vehicle.link.autopilot_time_s
+        vehicle.until(lambda: vehicle.link.autopilot_time_s - begun_s >= CHANGES_WITHIN_S)
 
     def _why_not_there(self, position_enu: Vector) -> str:
         """Why a point (3,) m, NaN where it is the vehicle's own, may not be flown to; empty when it may."""
@@ -245,6 +280,8 @@ class ClientFlight(Flight):
     def _hand_back(self, engagement: Engagement, end: FlightEnd) -> None:
         """The autopilot has its client's setpoints again; ours have stopped."""
         vehicle, stage = self._vehicle, self._stage
+        if vehicle.is_ours and vehicle.state is not None:
+            self._loop.leave_level(vehicle.state)
         self._loop.stop()
         self.clients.let_go()
         stage.engaged, self._barred = False, "" if isinstance(end, LetGo) else str(end)

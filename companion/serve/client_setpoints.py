@@ -7,7 +7,9 @@ import socket
 from collections import deque
 from collections.abc import Callable
 
-from companion.control.structs import Vector
+import numpy as np
+
+from companion.control.structs import Reference, Vector
 from companion.live.follower import FIT_POINTS, Follower
 from companion.live.mavlink_points import MavlinkPoints, Surroundings
 from companion.live.point import BadPoint, Point
@@ -49,12 +51,25 @@ class ClientSetpoints:
         self.streams_changed = False
         """A client has asked for other rates; for who looks at it to take back."""
 
-    def take(self, system: int, follower: Follower) -> None:
-        """From here on `follower` gets the points, and the autopilot `system` none of them."""
+    def hold_back(self, system: int) -> None:
+        """From here on the autopilot `system` gets none of the points."""
         self._control.send(TAKE.pack(b"T", system))
-        self._follower, self.has_lapsed = follower, False
+        self.has_lapsed = False
+
+    def follow(self, follower: Follower) -> None:
+        """From here on `follower` gets the points; first those that came last."""
+        self._follower = follower
         for arrived_s, point in self._arrivals:
             self._follow(point, arrived_s)
+
+    def newest(self, otherwise: Reference) -> Reference:
+        """The newest point at rest or as it moves; what it leaves open is as in `otherwise`."""
+        point, still = self._arrivals[-1][1], np.zeros(3)
+        position = np.where(np.isnan(point.position), otherwise.position_enu, point.position)
+        open_speed = otherwise.velocity_enu if np.isnan(point.position).any() else still
+        velocity = np.where(np.isnan(point.velocity), open_speed, point.velocity)
+        yaw_rad = otherwise.yaw_rad if math.isnan(point.yaw_rad) else point.yaw_rad
+        return Reference(position, velocity, still, still, still, yaw_rad, 0.0, 0.0)
 
     def let_go(self) -> None:
         """From here on the autopilot gets the points itself."""
