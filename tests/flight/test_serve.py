@@ -70,7 +70,7 @@ def test_whatever_ends_it_the_client_has_the_vehicle_again(tmp_path: Path) -> No
         assert client.fly(10.0, until=flies_again)
 
         client.mode(*LOITER)
-        assert client.fly(5.0, until=lambda: serve.heard("stopped flying: mode is now AUTO.LOITER"))
+        assert client.fly(5.0, until=lambda: "stopped flying" in client.texts[-1])
         client.texts.clear()
         client.fly(1.0)
         assert not client.texts  # it waits for the mode
@@ -85,7 +85,7 @@ def test_whatever_ends_it_the_client_has_the_vehicle_again(tmp_path: Path) -> No
         silent_s = client.now_s
         assert client.fly(10.0, lambda _: None, until=lambda: client.modes[-1] != OFFBOARD), client.modes
         assert 1.0 < client.now_s - silent_s < 3.0  # COM_OF_LOSS_T is 1 s
-        assert serve.heard("passed on: the client has sent no setpoint for 0.5 s")
+        assert serve.heard("the client has sent no setpoint")
         assert serve.stop() == 0
     (log,) = (tmp_path / "flights").glob("*.mcap")
     assert len(read_log(log).events_of("engaged")) == 4
@@ -132,9 +132,9 @@ def test_ardupilot_from_the_ground_and_by_one_setpoint(tmp_path: Path) -> None:
             10.0, lambda _: (north, east, -3.0, 0.0, 0.0, 0.0), until=lambda: serve.heard(TAKEN_OVER)
         )
         client.fly(3.0, lambda t: (north + min(t, 2.0), east, -3.0, 1.0 if t < 2.0 else 0.0, 0.0, 0.0))
-        assert client.fly(5.0, lambda _: None, until=lambda: serve.heard("no setpoint for 0.5 s"))
-        client.fly(4.0, lambda _: None)
-        assert math.dist(client.position, (north + 2.0, east, -3.0)) < 0.3  # held by the autopilot
+        assert client.fly(5.0, lambda _: None, until=lambda: serve.heard("the client has sent no setpoint"))
+        there = (north + 2.0, east, -3.0)  # held by the autopilot
+        assert client.fly(20.0, lambda _: None, until=lambda: math.dist(client.position, there) < 0.3)
         client.mode(9)
         assert client.fly(40.0, lambda _: None, until=lambda: not client.armed)
         assert client.fly(
