@@ -134,6 +134,7 @@ class Flight:
             reacted = in_words(reaction_times(loop.reactions, loop.controlled_until_s))
             result = replace(result, text=f"{result.text}; {reacted}") if reacted else result
             self._recorder.log.metadata("wall setpoints", loop.counters)
+        self._recorder.log.metadata("wall link", self._vehicle.link.counters)
         self._recorder.log.event(
             "ended", self._vehicle.link.autopilot_time_s, outcome=result.outcome.value, text=result.text
         )
