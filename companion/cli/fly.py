@@ -81,7 +81,10 @@ def add_flight_options(parser: argparse.ArgumentParser, required: bool = True) -
         "--level", default="attitude", choices=("attitude", "body_rate", "actuator"), help="what is sent"
     )
     parser.add_argument(
-        "--trajectory", default="lemniscate", metavar="NAME|FILE", help="see docs/trajectories.md"
+        "--trajectory",
+        default="lemniscate",
+        metavar="NAME|FILE",
+        help="see docs/trajectories.md; live:udp:PORT, live:mavlink:PORT, live:stdin: docs/live_references.md",
     )
     parser.add_argument(
         "--frame", default="takeoff", choices=("takeoff", "local"), help="where the trajectory is laid out"
@@ -151,14 +154,9 @@ def connection_from(arguments: argparse.Namespace, address: str) -> Connection:
 
 def pose_address(text: str | None, option: str = "--outside-poses") -> tuple[str, int] | None:
     """`[HOST:]PORT`; without a host this machine only. Raises UserError for anything else."""
-    from companion.mavlink.endpoint import checked_host
+    from companion.mavlink.endpoint import host_and_port
 
-    if text is None:
-        return None
-    host, _, port = text.rpartition(":")
-    if not port.isdecimal() or not 0 < int(port) < 65536:
-        raise UserError(f"{option} {text!r}: not [HOST:]PORT; use for example 0.0.0.0:14600")
-    return checked_host(f"{option} {text!r}", host) or "127.0.0.1", int(port)
+    return None if text is None else host_and_port(text, option)
 
 
 def _pose_rate(rate_hz: float) -> float:
@@ -251,7 +249,7 @@ def fly_once(
     from companion.cli.sitl import FIRMWARES, STUB_PATIENCE, running_stub
     from companion.config.settings import load_settings
     from companion.flight.session import SessionOptions, fly
-    from companion.reference.registry import trajectory_from_text
+    from companion.live.trajectory import trajectory_or_live
 
     law_text = ""
     if controller.endswith(".py"):
@@ -270,7 +268,7 @@ def fly_once(
         },
         ([STUB_PATIENCE] if arguments.sitl else []) + arguments.overrides,
     )
-    trajectory_from_text(arguments.trajectory)  # a wrong one is told before anything is started
+    trajectory_or_live(arguments.trajectory)  # a wrong one is told before anything is started
     if arguments.sitl and arguments.sitl not in FIRMWARES:
         raise UserError(f"--sitl {arguments.sitl}: the bundled stub has {', '.join(FIRMWARES)}")
     reporter = ConsoleReporter()
