@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import traceback
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
@@ -121,10 +122,12 @@ class Flight:
         except UserError as error:
             self._write_down(self._descent.end(Refused(str(error))))
             raise
-        except Exception as error:  # a mistake of ours must not leave a vehicle in the air
-            result = self._write_down(self._descent.end(Aborted(f"mistake in this program: {error!r}")))
-            self._reporter.say(f"{result.outcome.value}: {result.text}")
-            raise
+        except Exception as error:
+            # A mistake of ours, or of somebody's law, must not leave a vehicle in the air; table, JSON and log stand.
+            result = self._descent.end(Aborted(f"mistake in this program: {error!r}"))
+            where = traceback.format_exc()
+            self._recorder.log.event("mistake", self._vehicle.link.autopilot_time_s, text=where)
+            self._reporter.say(where)
         return self._write_down(result)
 
     def _write_down(self, result: FlightResult) -> FlightResult:

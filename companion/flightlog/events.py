@@ -31,6 +31,7 @@ KINDS: dict[str, str] = {
     "live": "references of another program: text; when tracking begins all that they are followed by",
     "rc": "the pilot's transmitter was lost, or is back: lost (bool), text",
     "log": "the log itself had trouble: text, and how many records it cost",
+    "mistake": "an exception in this program, or in somebody's law, ended the flight: text (the traceback)",
     "ended": "how the flight ended: outcome, text",
 }
 """Kinds the package writes and what fields they carry; others are welcome."""
