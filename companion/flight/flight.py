@@ -44,6 +44,7 @@ from companion.flight.vehicle import HANDLED, LANDED_STATE_HOLDS_S, Vehicle
 from companion.flightlog.reactions import in_words, reaction_times
 from companion.live.trajectory import LiveTrajectory
 from companion.mavlink.link import Message, mav
+from companion.reference.mission import Mission
 from companion.reference.trajectory import Frame, Placed, Trajectory, place
 from companion.reference.transit import TransitLimits
 
@@ -310,6 +311,8 @@ class Flight:
             Refused: it may be wrong by more than MOST_RAISED_M, or the trajectory lies in the local frame.
         """
         request, accuracy_m = self._request, self._vehicle.status.height_accuracy_m or 0.0
+        if isinstance(request.trajectory, Mission):
+            return self._located(request.trajectory, ground, accuracy_m)
         laid_out = place(request.trajectory, request.frame, ground.position_enu, ground.yaw_rad)
         times = np.linspace(0.0, min(request.duration_s, laid_out.duration_s), LOWEST_SAMPLES)
         lowest_m = min(float(laid_out.sample(float(t)).position_enu[2]) for t in times) - float(
@@ -333,6 +336,26 @@ class Flight:
             ground.position_enu + np.array([0.0, 0.0, wanted_m]),
             ground.yaw_rad,
         )
+
+    def _located(self, mission: Mission, ground: Reference, accuracy_m: float) -> Trajectory:
+        """A mission where its places lie. Raises Refused where that is not known, or too low for the height estimate."""
+        origin = self._vehicle.status.global_origin
+        if origin is None:
+            raise Refused(
+                f"{mission.name} has latitudes and longitudes, and the autopilot does not say where its local frame lies "
+                "(GPS_GLOBAL_ORIGIN): does it have a GPS fix?"
+            )
+        laid_out = mission.located(origin, ground.position_enu, ground.yaw_rad)
+        times = np.linspace(0.0, laid_out.duration_s, LOWEST_SAMPLES)
+        lowest_m = min(
+            float(laid_out.sample(t).position_enu[2] - ground.position_enu[2]) for t in times.tolist()
+        )
+        if lowest_m < accuracy_m:
+            raise Refused(
+                f"{mission.name} comes down to {lowest_m:.2f} m, and the height may be wrong by {accuracy_m:.2f} m "
+                "(ESTIMATOR_STATUS): fly higher, or wait until the estimate has settled"
+            )
+        return laid_out
 
     def _transit_limits(self, ground_m: float) -> TransitLimits:
         procedure = self._settings.procedure

@@ -165,7 +165,7 @@ def check_values(arguments: argparse.Namespace, shown: str) -> None:
 def check_trajectory(text: str) -> None:
     head = text.partition(",")[0]
     name = head.partition(":")[0]
-    if name in ("waypoints", "csv") or Path(head).suffix in (".toml", ".csv"):
+    if name in ("waypoints", "csv", "mission") or Path(head).suffix in (".toml", ".csv"):
         return  # the reader's own file
     trajectory_or_live(text)
 
