@@ -117,6 +117,8 @@ class Intent(enum.Enum):
     """The autopilot lands where it is."""
     HOLD = "hold"
     """The autopilot holds its position: PX4 AUTO.LOITER, ArduPilot BRAKE (LOITER needs sticks), without GPS ALT_HOLD."""
+    RETURN = "return"
+    """The autopilot returns to its home and lands there: PX4 AUTO.RTL, ArduPilot RTL. Not to be had without GPS."""
 
 
 @dataclass(slots=True)
@@ -203,6 +205,8 @@ class Adapter(ABC):
     """Whether SYS_STATUS' attitude estimate is unhealthy when any part of the estimator is."""
     prearm_bit_counts: bool
     """Whether SYS_STATUS' pre-arm bit must be set before our mode is entered (on PX4 it is the current mode's)."""
+    wants_setpoints_first: bool
+    """Whether setpoints have to come in before our mode is entered, in the air too (PX4)."""
     spool_time_s: float
     """From arming until positive thrust turns into thrust."""
     bytewise_parameters: bool
@@ -215,6 +219,10 @@ class Adapter(ABC):
     @abstractmethod
     def mode(self, intent: Intent) -> Command:
         """The MAV_CMD_DO_SET_MODE that asks for `intent`."""
+
+    def has_mode(self, intent: Intent) -> bool:
+        """Whether there is a mode for `intent`."""
+        return True
 
     @abstractmethod
     def mode_name(self, custom_mode: int) -> str:

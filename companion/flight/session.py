@@ -16,7 +16,7 @@ from types import FrameType
 
 import numpy as np
 
-from companion.autopilot.adapter import Finding, Verdict
+from companion.autopilot.adapter import Finding, Intent, Verdict
 from companion.autopilot.hover_thrust import HoverThrustEstimator
 from companion.autopilot.thrust import ThrustScale, mixer_of
 from companion.config.provenance import Known, as_text
@@ -27,6 +27,7 @@ from companion.control.registry import build_law
 from companion.control.structs import Vector
 from companion.flight import realtime
 from companion.flight.control_loop import ControlLoop
+from companion.flight.engagement import FlightFromAir
 from companion.flight.flight import Flight
 from companion.flight.known_vehicle import KnownVehicle
 from companion.flight.outcome import Refused
@@ -61,6 +62,8 @@ class SessionOptions:
     may_arm: bool = False
     fix: bool = False
     wait_for_offboard: bool = False
+    from_air: bool = False  # the vehicle hovers already, under its pilot or its autopilot
+    then: Intent = Intent.LAND  # what the autopilot is asked for once the plan is flown
     real_time: bool = True  # ask for real-time scheduling; a simulation in lockstep has no use for it
     command_line: str = ""
     outside_poses: tuple[str, int] | None = None  # host, port to hear poses at that are forwarded as ODOMETRY
@@ -124,6 +127,7 @@ def _fly(
                 may_arm=options.may_arm,
                 fix=options.fix,
                 wait_for_offboard=options.wait_for_offboard,
+                then=options.then,
             )
 
             known = KnownVehicle(settings, reporter)
@@ -138,7 +142,7 @@ def _fly(
 
             preflight = _preflight(known, vehicle, reporter, plan)
             with _signals(Interrupts()) as interrupts:
-                flight = Flight(
+                flight = (FlightFromAir if options.from_air else Flight)(
                     vehicle,
                     request,
                     settings.flight,

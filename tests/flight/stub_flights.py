@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from companion.config.settings import load_settings
 from companion.flight.phases import Phase
@@ -100,7 +101,7 @@ def fly_short(
     level: str = "attitude",
     trajectory: str = "lemniscate",
     system: int | None = None,
-    **options: bool,
+    **options: Any,
 ) -> Flown:
     """Fly SHORT in this process and read the log back."""
     loaded = load_settings("qball2", {"level": level, "trajectory": trajectory}, [*SHORT, *settings])
