@@ -163,6 +163,11 @@ class ControlLoop:
         state = self._vehicle.state
         return state.time_s - self._plan_started_s if state is not None else 0.0
 
+    @property
+    def moved(self) -> tuple[Vector, float]:
+        """By how much the plan was moved, (3,) m, and turned, rad, with the estimator's frame since it began."""
+        return _NO_JUMP if self._shift_enu is None else self._shift_enu, self._shift_yaw_rad
+
     # Changing over --------------------------------------------------------------------------------------
 
     def note_link(self, streams: list[StreamFigures], timesync: TimeSync) -> None:

@@ -41,12 +41,12 @@ from companion.flight.stage import FlightRequest, FlightResult, Interrupts
 from companion.flight.vehicle import Vehicle
 from companion.flightlog.law_channels import LAW_TEXT
 from companion.flightlog.writer import FlightLog
+from companion.live.trajectory import PREFIX, LiveTrajectory, trajectory_or_live
 from companion.mavlink.bandwidth import LinePlan, describe, plan_line
 from companion.mavlink.connection import Connection
 from companion.mavlink.link import mav
 from companion.mavlink.outside_poses import DEFAULT_RATE_HZ, OutsidePoses
 from companion.reference.feasibility import VehicleLimits, check_feasibility
-from companion.reference.registry import trajectory_from_text
 from companion.reference.trajectory import Frame, Trajectory
 
 _PACKAGES = ("dtlannc-companion", "numpy", "numba", "pymavlink", "mcap")
@@ -78,7 +78,7 @@ def fly(settings: Settings, options: SessionOptions, reporter: Reporter) -> Flig
         UserError: the flight could not begin for a reason that the user can mend.
     """
     settings, plan = _fitted(settings, options.connection, reporter)
-    trajectory = trajectory_from_text(settings.flight.trajectory)
+    trajectory = trajectory_or_live(settings.flight.trajectory)
     _law(settings, None).warm_up()  # seconds, so before anybody is listening to us
     Predictor(settings.profile, settings.level)
     try:
@@ -100,6 +100,9 @@ def _fly(
     plan: LinePlan | None,
 ) -> FlightResult:
     poses = OutsidePoses(options.outside_poses, options.pose_rate_hz) if options.outside_poses else None
+    live = trajectory if isinstance(trajectory, LiveTrajectory) else None
+    if live is not None:
+        live.open()
     link = options.connection.open(reporter.say)
     try:
         with FlightLog(
@@ -119,7 +122,7 @@ def _fly(
             request = FlightRequest(
                 level=settings.level,
                 trajectory=trajectory,
-                frame=Frame(settings.flight.layout),
+                frame=Frame.LOCAL if live is not None and live.is_mavlink else Frame(settings.flight.layout),
                 duration_s=settings.flight.duration_s,
                 may_arm=options.may_arm,
                 fix=options.fix,
@@ -158,6 +161,8 @@ def _fly(
         link.close()
         if poses is not None:
             poses.close()
+        if live is not None:
+            live.close()
 
 
 def check(
@@ -299,7 +304,10 @@ def _check_plan(settings: Settings, plan: FlightPlan, ground_m: float) -> None:
         height_min_m=ground_m + 0.1,
         height_max_m=ground_m + settings.flight.safety.fence.height_max_m,
     )
-    check_feasibility(leg.trajectory, limits, leg.duration_s).require(settings.flight.trajectory)
+    live = settings.flight.trajectory.startswith(PREFIX)  # it stands still so far
+    check_feasibility(leg.trajectory, limits, 1.0 if live else leg.duration_s).require(
+        settings.flight.trajectory
+    )
 
 
 @contextmanager

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from companion.live.point import DEGREE, BadPoint, Point, PolynomialPiece
+from companion.live.point import DEGREE, LONGEST_S, BadPoint, Point, PolynomialPiece
 
 LONGEST_BYTES = 4096
 """Of one object: a piece of degree 9 with every digit has half of it."""
@@ -39,12 +39,15 @@ _POINT_KEYS = {"time", "yaw", "yaw_rate", *_VECTORS}
 _AXES = ("x", "y", "z", "yaw")
 _PIECE_KEYS = {"time", "duration", "coefficients", *_AXES}
 
-_NUMBER = {"type": ["number", "null"]}
-_VECTOR = {"type": ["array", "null"], "items": _NUMBER, "minItems": 3, "maxItems": 3}
-_SERIES = {"type": "array", "items": {"type": "number"}, "minItems": 1, "maxItems": DEGREE + 1}
+_VECTOR, _NUMBER, _SERIES = ({"$ref": f"#/$defs/{name}"} for name in ("vector", "number", "series"))
 SCHEMA: dict[str, Any] = {
     "$schema": "https://json-schema.org/draft/2020-12/schema",
     "title": "live reference",
+    "$defs": {
+        "number": {"type": ["number", "null"]},
+        "vector": {"type": ["array", "null"], "items": _NUMBER, "minItems": 3, "maxItems": 3},
+        "series": {"type": "array", "items": {"type": "number"}, "minItems": 1, "maxItems": DEGREE + 1},
+    },
     "oneOf": [
         {
             "title": "point",
@@ -61,7 +64,7 @@ SCHEMA: dict[str, Any] = {
             "type": "object",
             "properties": {
                 "time": _NUMBER,
-                "duration": {"type": "number", "exclusiveMinimum": 0, "maximum": 3600},
+                "duration": {"type": "number", "exclusiveMinimum": 0, "maximum": LONGEST_S},
                 "coefficients": {"type": "array", "items": _SERIES, "minItems": 3, "maxItems": 4},
                 **dict.fromkeys(_AXES, _SERIES),
             },

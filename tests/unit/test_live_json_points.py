@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +14,20 @@ from hypothesis import strategies as st
 
 from companion.live.json_points import LONGEST_BYTES, SCHEMA, Wish, parse
 from companion.live.point import BadPoint, Point, PolynomialPiece
+
+
+def test_the_schema_of_the_page_is_that_of_the_code_and_says_what_is_read() -> None:
+    page = (Path(__file__).resolve().parents[2] / "docs" / "live_references.md").read_text()
+    (block,) = re.findall(r"```json\n(.*?)```", page, re.S)
+    assert json.loads(block) == SCHEMA
+    for example in re.findall(r"^\{\"(?:time|duration|end)\".*\}$", page, re.M):
+        parse(example.encode())
+    point, piece, wish = SCHEMA["oneOf"]
+    for key in point["properties"]:
+        value = "0" if key.startswith(("time", "yaw")) else "[0, 0, 0]"
+        parse(f'{{"{key}": {value}}}'.encode())
+    assert set(piece["properties"]) == {"time", "duration", "coefficients", "x", "y", "z", "yaw"}
+    assert set(wish["properties"]) == {each.value for each in Wish}
 
 
 def test_a_point_has_what_was_given_and_nothing_else() -> None:
