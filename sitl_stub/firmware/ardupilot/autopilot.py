@@ -29,7 +29,16 @@ from sitl_stub.firmware.common.autopilot import Autopilot
 from sitl_stub.firmware.common.clock import Clock
 from sitl_stub.firmware.common.commands import Result
 from sitl_stub.firmware.common.mavlink_ids import Severity
+from sitl_stub.firmware.common.plans import PlanItem, PlanProtocol, PlanResult, PlanRules
 
+WAYPOINT = 16
+PLAN_RULES = PlanRules(
+    most={0: 724, 1: 84, 2: 10},
+    commands=frozenset(),
+    busy=PlanResult.DENIED,
+    wrong_item=PlanResult.INVALID_SEQUENCE,
+    writes_parts=True,
+)
 PREARM_PHASE_US = 250_000
 """When within each second the checks run."""
 TIMESYNC_EVERY_US = 10_000_000
@@ -61,9 +70,12 @@ class ArduPilot(Autopilot):
             radio=self.radio,
             origin=ORIGIN,
             boot=Boot(self.clock, self.ready_after_s),
+            plans=self.plans,
         )
         parameter_protocol = ArduPilotParameterProtocol(self.parameters, self.voice)
         self.parameter_protocol = parameter_protocol
+        self.plan_protocol = PlanProtocol(self.plans, self.clock, PLAN_RULES, self._home_item)
+        self.plan_protocol.on_current = self._mission_changed
         self.land_detector = LandDetector(state)
         setpoints = Setpoints(state, self.land_detector)
         guided = Guided(state, setpoints)
@@ -74,12 +86,28 @@ class ArduPilot(Autopilot):
         self.statistics = Statistics(state, parameter_protocol.announce)
         self.streams.define(ArduPilotMessages(state, guided).definitions())
         taken = ArduPilotProtocol(
-            state, self.voice, guided, self.commander, self.streams, self.command_protocol
+            state,
+            self.voice,
+            guided,
+            self.commander,
+            self.streams,
+            self.command_protocol,
+            self.plan_protocol,
         )
         self.command_protocol.handlers.update(taken.commands())
         self.messages.update(taken.messages())
         setpoints.limit_vertical()
         setpoints.rest_on_ground()
+
+    def _home_item(self) -> PlanItem:
+        """Home is item 0 of every mission."""
+        north, east, down = self.state.home_ned.tolist()
+        x, y = self.state.origin.globe_e7(north, east)
+        return PlanItem(WAYPOINT, 0, (0.0, 0.0, 0.0, 0.0), x, y, self.state.origin.altitude_of(down))
+
+    def _mission_changed(self) -> None:
+        for link in self.voice.links:
+            self.streams.send_named(link, "MISSION_CURRENT")
 
     @property
     def takes_setpoints(self) -> bool:
@@ -140,6 +168,8 @@ class ArduPilot(Autopilot):
         if self.time_us % TIMESYNC_EVERY_US == 0 and not self.clock.lockstep:
             self.voice.broadcast("TIMESYNC", tc1=0, ts1=self.clock.stamp_us * 1000 + 1)
         self.commander.disarm_when_idle()
+        self.plan_protocol.update()
+        self.flight_logs.update(self.armed)
         self.failsafes.update()
         self.announcements.update()
         self.statistics.update()

@@ -16,7 +16,13 @@ from sitl_stub.firmware.ardupilot.modes import Mode
 from sitl_stub.firmware.ardupilot.motion_messages import ArduPilotMotion
 from sitl_stub.firmware.ardupilot.state import ArduPilotState
 from sitl_stub.firmware.common.clock import SIMULATED_EPOCH_US
-from sitl_stub.firmware.common.mavlink_ids import LandedState, ModeFlag, SystemStatus, VehicleType
+from sitl_stub.firmware.common.mavlink_ids import (
+    LandedState,
+    MissionState,
+    ModeFlag,
+    SystemStatus,
+    VehicleType,
+)
 from sitl_stub.firmware.common.radio import RECEIVER_BIT
 from sitl_stub.firmware.common.streams import Builder, StreamRow
 from sitl_stub.firmware.common.wire_values import NAN, Values, int16
@@ -264,8 +270,11 @@ class ArduPilotMessages:
         return (a.clock.stamp_us, *(float(value) for value in sd), 0, 0, 0)
 
     def mission_current(self, link: Link) -> Values:
-        """MISSION_CURRENT: there is no mission."""
-        return (0, 0, 1, 0)
+        """MISSION_CURRENT: home, item 0, is not counted. The stub keeps a mission, and does not fly it."""
+        a = self.state
+        total = len(a.plans.mission)
+        state = MissionState.NOT_STARTED if total > 1 else MissionState.NONE
+        return (a.plans.current, max(total - 1, 0), state, 0)
 
     def nav_controller_output(self, link: Link) -> Values:
         """NAV_CONTROLLER_OUTPUT: tilt asked for, distance from home."""

@@ -32,7 +32,7 @@ class Mode(Enum):
     ALT_HOLD = ModeFacts(2, takes_off=True)
     """Sticks to tilt, rate of heading and climb rate."""
     AUTO = ModeFacts(3, needs_position=True, can_arm=False)
-    """The mission; the stub has none, so it cannot be entered in the air."""
+    """The mission; the stub keeps one and does not fly it, so this cannot be entered in the air."""
     GUIDED = ModeFacts(4, needs_position=True, takes_off=True, takes_targets=True)
     """Targets over MAVLink."""
     LOITER = ModeFacts(5, needs_position=True, takes_off=True)

@@ -25,6 +25,7 @@ from sitl_stub.firmware.common.commands import (
     whole,
 )
 from sitl_stub.firmware.common.mavlink_ids import MavCommand, ModeFlag, Severity
+from sitl_stub.firmware.common.plans import PlanProtocol
 from sitl_stub.firmware.common.streams import StreamTable
 from sitl_stub.mavlink.codec import LAYOUTS, Received
 from sitl_stub.mavlink.links import Link
@@ -51,6 +52,7 @@ class ArduPilotProtocol:
         commander: Commander,
         streams: StreamTable,
         command_protocol: CommandProtocol,
+        plan_protocol: PlanProtocol,
     ) -> None:
         self.state = state
         self.voice = voice
@@ -58,6 +60,7 @@ class ArduPilotProtocol:
         self.commander = commander
         self.streams = streams
         self.command_protocol = command_protocol
+        self.plan_protocol = plan_protocol
 
     def commands(self) -> dict[int, CommandHandler]:
         """MAV_CMD number to handler."""
@@ -71,6 +74,7 @@ class ArduPilotProtocol:
             MavCommand.DO_CHANGE_SPEED: self._change_speed,
             MavCommand.DO_SET_HOME: self._set_home,
             MavCommand.DO_REPOSITION: self._reposition,
+            MavCommand.DO_SET_MISSION_CURRENT: self._choose_item,
             MavCommand.PREFLIGHT_REBOOT_SHUTDOWN: self._reboot,
             MavCommand.COMPONENT_ARM_DISARM: self._arm,
             MavCommand.GET_HOME_POSITION: self._get_home,
@@ -170,6 +174,9 @@ class ArduPilotProtocol:
         height = altitude - float(a.home_ned[2])
         self.guided.go_to((north, east, height))
         return Result.ACCEPTED
+
+    def _choose_item(self, link: Link, command: Command) -> Result | None:
+        return Result.ACCEPTED if self.plan_protocol.choose(whole(command.params[0])) else Result.FAILED
 
     def _reboot(self, link: Link, command: Command) -> Result | None:
         return Result.FAILED if self.state.armed else Result.ACCEPTED

@@ -13,9 +13,11 @@ import numpy as np
 
 from sitl_stub.firmware.common.clock import Clock
 from sitl_stub.firmware.common.commands import CommandProtocol, MessageHandler, Result
+from sitl_stub.firmware.common.flight_logs import FlightLogs
 from sitl_stub.firmware.common.interference import Interference, Undisturbed
 from sitl_stub.firmware.common.parameter_protocol import ParameterProtocol
 from sitl_stub.firmware.common.parameters import ParameterTable
+from sitl_stub.firmware.common.plans import PlanProtocol, Plans
 from sitl_stub.firmware.common.radio import Radio
 from sitl_stub.firmware.common.state import FirmwareState
 from sitl_stub.firmware.common.streams import LinkStreams, StreamTable
@@ -40,6 +42,8 @@ class Autopilot:
     """Made by `make_parts`."""
     parameter_protocol: ParameterProtocol
     """Made by `make_parts`."""
+    plan_protocol: PlanProtocol
+    """Made by `make_parts`."""
 
     def __init__(self, core: VehicleCore, parameters: ParameterTable, clock: Clock, voice: Voice) -> None:
         self.core = core
@@ -49,6 +53,7 @@ class Autopilot:
         self.radio = Radio()
         self.faults: Interference = Undisturbed(self.take_in)
         """What is to go wrong; it puts itself here."""
+        self.plans = Plans()
         self._parameter_changes = parameters.changes
         self.power_up(killed=False)
 
@@ -64,15 +69,17 @@ class Autopilot:
             "COMMAND_INT": self.command_protocol.take_int,
             "TIMESYNC": self._timesync,
             "PING": self._ping,
-            "MISSION_REQUEST_LIST": self._mission_request_list,
         }
+        self.flight_logs = FlightLogs(self.clock)
+        self.messages.update(self.flight_logs.messages())
         self.make_parts()
         self.state.killed = killed
         self.messages.update(self.parameter_protocol.messages())
+        self.messages.update(self.plan_protocol.messages())
 
     # --- for subclasses ----------------------------------------------------------------------------------------
     def make_parts(self) -> None:
-        """Make `state`, `parameter_protocol` and what else flies; fill `streams`, `messages` and the commands' handlers."""
+        """Make `state`, both protocols and what else flies; fill `streams`, `messages`, the commands' handlers."""
         raise NotImplementedError
 
     def run_logic(self) -> None:
@@ -295,12 +302,3 @@ class Autopilot:
 
     def _heartbeat(self, link: Link, message: Received) -> None:
         self.state.heartbeats[(message.system, message.component)] = self.time_us
-
-    def _mission_request_list(self, link: Link, message: Received) -> None:
-        link.send(
-            "MISSION_COUNT",
-            target_system=message.system,
-            target_component=message.component,
-            count=0,
-            mission_type=message.values.get("mission_type", 0),
-        )

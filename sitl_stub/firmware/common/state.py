@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from sitl_stub.firmware.common.clock import Clock
 from sitl_stub.firmware.common.globe import LocalOrigin
 from sitl_stub.firmware.common.parameters import ParameterTable
+from sitl_stub.firmware.common.plans import Plans
 from sitl_stub.firmware.common.radio import Radio
 from sitl_stub.firmware.common.sticks import Sticks
 from sitl_stub.firmware.common.vehicle_core import VehicleCore
@@ -28,6 +29,8 @@ class FirmwareState:
     """Where local (0, 0, 0) lies on the globe."""
     radio: Radio
     """The pilot's receiver, which outlives a restart."""
+    plans: Plans = field(default_factory=Plans)
+    """Mission, fence and rally points, which outlive a restart."""
     killed: bool = False
     """The pilot's kill switch: rotors stopped though armed. Writer: the pilot (`Autopilot.pilot_kill`)."""
     sticks: Sticks = field(default_factory=Sticks)

@@ -10,11 +10,13 @@ from sitl_stub.firmware.common.autopilot import LOGIC_PERIOD_US, Autopilot
 from sitl_stub.firmware.common.clock import Clock
 from sitl_stub.firmware.common.globe import LocalOrigin
 from sitl_stub.firmware.common.parameters import ParameterTable
+from sitl_stub.firmware.common.plans import PlanProtocol
 from sitl_stub.firmware.px4 import layout as at
 from sitl_stub.firmware.px4.commander import Commander
 from sitl_stub.firmware.px4.core import FlightCore
 from sitl_stub.firmware.px4.land_detector import LandDetector
 from sitl_stub.firmware.px4.messages import Px4Messages
+from sitl_stub.firmware.px4.mission import RULES
 from sitl_stub.firmware.px4.modes import Mode, mode_named
 from sitl_stub.firmware.px4.navigator import Navigator
 from sitl_stub.firmware.px4.offboard import OffboardControl, OffboardSetpoint
@@ -55,6 +57,7 @@ class Px4(Autopilot):
             origin=origin,
             version=self.version,
             ready_after_us=self.ready_after_us,
+            plans=self.plans,
         )
         self.parameter_protocol = Px4ParameterProtocol(p, self.voice)
         self.land_detector = LandDetector()
@@ -62,11 +65,20 @@ class Px4(Autopilot):
         self.control = OffboardControl(state, self.offboard)
         self.navigator = Navigator(state)
         self.commander = Commander(state, self.voice, self.offboard, self.navigator)
+        self.plan_protocol = PlanProtocol(self.plans, self.clock, RULES)
+        self.plan_protocol.on_current = self._mission_changed
+        self.navigator.mission.on_reached = self._item_reached
         self.navigator.enter(Mode.LOITER)
         sent = Px4Messages(state, self.voice, self.navigator, self.control, self.commander)
         self.streams.define(sent.definitions())
         taken = Px4Protocol(
-            state, self.navigator, self.control, self.commander, self.streams, self.command_protocol
+            state,
+            self.navigator,
+            self.control,
+            self.commander,
+            self.streams,
+            self.command_protocol,
+            self.plan_protocol,
         )
         self.command_protocol.handlers.update(taken.commands())
         self.messages.update(taken.messages())
@@ -90,6 +102,8 @@ class Px4(Autopilot):
             core.time_us, state.armed, thrust, core.velocity_ned, core.body_rate_frd, self.parameters
         )
         self.commander.update()
+        self.plan_protocol.update()
+        self.flight_logs.update(state.armed)
         latched = self.control.latch()
         core.integrate = state.armed and not state.ground.landed
         if not state.armed or state.killed:
@@ -99,6 +113,21 @@ class Px4(Autopilot):
                 self.control.apply()
         elif self.navigator.update(LOGIC_PERIOD_US * 1e-6):
             self.commander.takeoff_done()
+        elif self.navigator.mission.wants_return and state.mode is Mode.MISSION:
+            self.commander.request_mode(Mode.RTL)
+
+    def _mission_changed(self) -> None:
+        self.navigator.mission.changed()
+        self._tell("MISSION_CURRENT")
+
+    def _item_reached(self, number: int) -> None:
+        for link in self.voice.links:
+            link.send("MISSION_ITEM_REACHED", seq=number)
+        self._tell("MISSION_CURRENT")
+
+    def _tell(self, name: str) -> None:
+        for link in self.voice.links:
+            self.streams.send_named(link, name)
 
     def take_off_alone(self, height_m: float) -> None:
         """TAKEOFF as a ground station asks for it; then LOITER."""

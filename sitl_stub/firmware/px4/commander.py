@@ -88,7 +88,7 @@ class Commander:
         if mode is Mode.OFFBOARD:
             return self.offboard_signal()
         if mode is Mode.MISSION:
-            return False
+            return self.navigator.mission.valid and self.state.core.position_valid
         if mode.value.needs_sticks and not self.sticks_present():
             return False
         return self.state.core.position_valid or not mode.value.needs_position

@@ -11,7 +11,7 @@ import struct
 from collections.abc import Mapping, Sequence
 
 from sitl_stub.firmware.common.clock import SIMULATED_EPOCH_US
-from sitl_stub.firmware.common.mavlink_ids import LandedState, ModeFlag, SystemStatus
+from sitl_stub.firmware.common.mavlink_ids import LandedState, MissionState, ModeFlag, SystemStatus
 from sitl_stub.firmware.common.radio import RECEIVER_BIT
 from sitl_stub.firmware.common.streams import StreamRow
 from sitl_stub.firmware.common.wire_values import NAN, Values, int16
@@ -51,6 +51,7 @@ class Px4Messages:
         self.voice = voice
         self.control = control
         self.commander = commander
+        self.navigator = navigator
         self.motion = Px4Motion(state, navigator)
         self.reports = Px4Reports(state, navigator)
         self.ping_sequence = 0
@@ -72,6 +73,7 @@ class Px4Messages:
             ("HOME_POSITION", self.home_position, rates(1, 0.5)),
             ("GPS_GLOBAL_ORIGIN", self.gps_global_origin, {}),
             ("MISSION_CURRENT", self.mission_current, rates(1, 0.5)),
+            ("ORBIT_EXECUTION_STATUS", self.orbit_execution_status, rates(5, 2)),
             ("GPS_RAW_INT", self.gps_raw_int, rates(8, 1)),
             ("SCALED_PRESSURE", self.scaled_pressure, rates(1, 1)),
             ("VIBRATION", self.vibration, rates(0.5, 0.1)),
@@ -215,10 +217,29 @@ class Px4Messages:
         return (a.clock.stamp_us, *ratios, max(sd[:2]), sd[2], flags)
 
     def mission_current(self, link: Link) -> Values:
-        """MISSION_CURRENT: no mission; mission_mode says whether the vehicle is in an automatic mode."""
+        """MISSION_CURRENT; mission_mode says whether the vehicle is in an automatic mode."""
         a = self.state
         mode = 1 if a.armed and a.mode.is_auto else 2
-        return (0, 65535, 1, mode)
+        total = len(a.plans.mission)
+        if not total:
+            return (0, 65535, MissionState.NONE, mode)
+        flies = a.armed and a.mode is Mode.MISSION
+        if self.navigator.mission.finished:
+            stands = MissionState.COMPLETE
+        elif flies:
+            stands = MissionState.ACTIVE
+        else:
+            stands = MissionState.PAUSED if a.plans.current else MissionState.NOT_STARTED
+        return (a.plans.current, total, stands, mode)
+
+    def orbit_execution_status(self, link: Link) -> Values | None:
+        """ORBIT_EXECUTION_STATUS, while it circles."""
+        a, orbit = self.state, self.navigator.orbit
+        if a.mode is not Mode.ORBIT:
+            return None
+        north, east, down = (float(value) for value in orbit.centre_ned)
+        latitude, longitude = a.origin.globe_e7(north, east)
+        return (a.clock.stamp_us, orbit.signed_radius_m, latitude, longitude, a.origin.altitude_of(down), 5)
 
     def vibration(self, link: Link) -> Values:
         """VIBRATION: the accelerometer noise of the preset."""

@@ -42,12 +42,14 @@ class Mode(Enum):
     """Climb to MIS_TAKEOFF_ALT, then hold."""
     LOITER = ModeFacts(4, 3, 29, "Hold", needs_position=True)
     """Hold the place."""
-    MISSION = ModeFacts(4, 4, 29, "Mission", needs_position=True, can_arm=False, standard_mode=6)
-    """Fly the mission; the stub has none, so it can never run."""
+    MISSION = ModeFacts(4, 4, 29, "Mission", needs_position=True, standard_mode=6)
+    """Fly the mission; needs one."""
     RTL = ModeFacts(4, 5, 29, "RTL", needs_position=True, can_arm=False, standard_mode=5)
     """Climb if far away, return to home, land."""
     LAND = ModeFacts(4, 6, 29, "Land", can_arm=False, standard_mode=7)
     """Land where it is."""
+    ORBIT = ModeFacts(3, 1, 29, "Orbit", needs_position=True, can_arm=False, standard_mode=2)
+    """Circle about a place (DO_ORBIT)."""
     PRECISION_LAND = ModeFacts(4, 9, 29, "Precision land", can_arm=False)
     """Lands where it is: the stub has no beacon."""
 
@@ -99,6 +101,8 @@ def mode_of(main: int, sub: int) -> Mode | None:
     """The mode of DO_SET_MODE's numbers; PX4 takes a sub mode only for AUTO and POSCTL."""
     if main == 4:
         return BY_NUMBERS.get((4, sub))
+    if main == 3:
+        return BY_NUMBERS.get((3, sub), Mode.POSCTL)
     return BY_NUMBERS.get((main, 0))
 
 

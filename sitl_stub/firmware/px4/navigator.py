@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sitl_stub.firmware.px4.follower import Follower
+from sitl_stub.firmware.px4.mission import Mission
 from sitl_stub.firmware.px4.modes import Mode
+from sitl_stub.firmware.px4.orbit import Orbit
 from sitl_stub.firmware.px4.state import Px4State
 
 NAN = float("nan")
@@ -32,6 +34,8 @@ class Navigator:
         self.started_us = 0
         self.stage = ""
         self.sticks = state.sticks
+        self.mission = Mission(state)
+        self.orbit = Orbit(state)
         self.vertical_velocity = 0.0
         self.reposition: NDArray[np.float64] | None = None
         self.takeoff_altitude_m: float | None = None
@@ -62,6 +66,8 @@ class Navigator:
             self.target[2] = min(float(self.state.home_ned[2]) - self.climb_m, float(self.target[2]))
             self.takeoff_altitude_m = None
         self.vertical_velocity = float(core.velocity_ned[2])
+        if mode is Mode.MISSION:
+            self.mission.enter()
 
     def update(self, dt_s: float) -> bool:
         """Move the present mode's setpoint on by `dt_s` and give it to the loops; whether a climb of TAKEOFF is over."""
@@ -72,6 +78,10 @@ class Navigator:
             return self._take_off(dt_s)
         elif mode is Mode.RTL:
             self._return(dt_s)
+        elif mode is Mode.MISSION:
+            self._fly_mission(dt_s)
+        elif mode is Mode.ORBIT:
+            self._circle(dt_s)
         elif mode in (Mode.LAND, Mode.PRECISION_LAND):
             self._land(dt_s)
         elif mode is Mode.POSCTL:
@@ -139,6 +149,57 @@ class Navigator:
             return False
         self._follow(dt_s, p["MPC_TKO_SPEED"], 1.0)
         return abs(float(core.position_ned[2] - self.target[2])) < ARRIVED_M
+
+    def _circle(self, dt_s: float) -> None:
+        inwards = self.orbit.move(self.follower, dt_s)
+        self.yaw = self.orbit.yaw
+        (x, y, z), (vx, vy, vz) = self.follower.position.tolist(), self.follower.velocity.tolist()
+        self.state.core.follow_trajectory((x, y, z), (vx, vy, vz), inwards, self.yaw)
+
+    def _fly_mission(self, dt_s: float) -> None:
+        core, p, mission = self.state.core, self.state.parameters, self.mission
+        if self.stage == "start":
+            self.stage = "under way"
+            height = mission.first_height_m
+            if self.state.ground.landed and math.isfinite(height):
+                self.stage, self.climb_m = "climb", max(height, float(p["MIS_TAKEOFF_ALT"]))
+                self.target[2] = min(float(self.state.home_ned[2]) - self.climb_m, float(self.target[2]))
+        if self.stage == "climb":
+            if self._take_off(dt_s):
+                self.stage = "under way"
+            return
+        goal = mission.step()
+        if goal is None:
+            if self.state.ground.landed:
+                self._stay_on_ground()
+            else:
+                self._travel(dt_s)
+            return
+        if goal.lands:
+            if self.stage != "land":
+                self.stage, self.vertical_velocity = "land", float(core.velocity_ned[2])
+            self.target[:2] = goal.target_ned[:2]
+            self._land(dt_s)
+            return
+        if self.stage == "land":
+            self.follower.start(core.position_ned, core.velocity_ned)
+            self.stage = "under way"
+        self.target = np.array(goal.target_ned)
+        if goal.target_ned[2] >= float(self.state.home_ned[2]):  # on the way to where it lands
+            self.target[2] = self.follower.position[2]
+        turn = math.remainder(goal.yaw_rad - self.yaw, 2.0 * math.pi)
+        most = math.radians(p["MPC_YAWRAUTO_MAX"]) * dt_s
+        self.yaw += min(max(turn, -most), most)
+        self.follower.move(
+            self.target,
+            goal.speed_m_s,
+            p["MPC_Z_V_AUTO_UP"],
+            p["MPC_Z_V_AUTO_DN"],
+            p["MPC_ACC_HOR"],
+            p["MPC_ACC_DOWN_MAX"],
+            dt_s,
+        )
+        self._send(tuple(self.follower.position), tuple(self.follower.velocity))
 
     def _land(self, dt_s: float) -> None:
         core, p = self.state.core, self.state.parameters

@@ -18,6 +18,7 @@ from sitl_stub.firmware.common.commands import (
     whole,
 )
 from sitl_stub.firmware.common.mavlink_ids import MavCommand, ModeFlag
+from sitl_stub.firmware.common.plans import PlanProtocol
 from sitl_stub.firmware.common.streams import StreamTable
 from sitl_stub.firmware.px4.commander import FORCE_MAGIC, Commander
 from sitl_stub.firmware.px4.modes import Mode, mode_of, mode_of_custom
@@ -39,6 +40,7 @@ class Px4Protocol:
         commander: Commander,
         streams: StreamTable,
         command_protocol: CommandProtocol,
+        plan_protocol: PlanProtocol,
     ) -> None:
         self.state = state
         self.navigator = navigator
@@ -46,6 +48,7 @@ class Px4Protocol:
         self.commander = commander
         self.streams = streams
         self.command_protocol = command_protocol
+        self.plan_protocol = plan_protocol
 
     def commands(self) -> Mapping[int, CommandHandler]:
         """MAV_CMD number to handler."""
@@ -58,6 +61,9 @@ class Px4Protocol:
             MavCommand.DO_CHANGE_SPEED: self._change_speed,
             MavCommand.DO_SET_HOME: self._set_home,
             MavCommand.DO_REPOSITION: self._reposition,
+            MavCommand.DO_ORBIT: self._orbit,
+            MavCommand.DO_SET_MISSION_CURRENT: self._choose_item,
+            MavCommand.MISSION_START: self._start_mission,
             MavCommand.PREFLIGHT_CALIBRATION: shared.ignore,
             MavCommand.PREFLIGHT_REBOOT_SHUTDOWN: self._reboot,
             MavCommand.COMPONENT_ARM_DISARM: self._arm,
@@ -131,6 +137,22 @@ class Px4Protocol:
                 self.navigator.yaw = command.params[3]
             self.navigator.reposition = target
         return result
+
+    def _orbit(self, link: Link, command: Command) -> Result | None:
+        """Centre, radius and speed are the vehicle's place and the last ones where they are not given."""
+        result = self.commander.request_mode(Mode.ORBIT)
+        if result is Result.ACCEPTED:
+            self.navigator.orbit.begin(command.params)
+        return result
+
+    def _choose_item(self, link: Link, command: Command) -> Result | None:
+        chosen = self.plan_protocol.choose(whole(command.params[0]))
+        return Result.ACCEPTED if chosen else Result.DENIED
+
+    def _start_mission(self, link: Link, command: Command) -> Result | None:
+        if not self.navigator.mission.valid:
+            return Result.DENIED
+        return self.commander.request_mode(Mode.MISSION)
 
     def _change_speed(self, link: Link, command: Command) -> Result | None:
         if command.params[1] > 0:
