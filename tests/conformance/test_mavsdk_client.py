@@ -39,12 +39,12 @@ def _ask_for_health(telemetry: Any) -> None:
 
 
 @contextmanager
-def client_of(stub: Stub) -> Iterator[Any]:
-    """A MAVSDK of its own and the system it found."""
+def client_of(stub: Stub, address: str = "") -> Iterator[Any]:
+    """A MAVSDK of its own and the system it found; `address`: where the stub is not at its own."""
     kind = mavsdk.ComponentType.COMPANION_COMPUTER
     client = mavsdk.Mavsdk(mavsdk.Configuration.create_with_component_type(kind))
     try:
-        client.add_any_connection(stub.mavsdk_address)
+        client.add_any_connection(address or stub.mavsdk_address)
         system = client.first_autopilot(60.0)
         assert system is not None
         yield system
@@ -56,6 +56,18 @@ def client_of(stub: Stub) -> Iterator[Any]:
 def connected() -> Iterator[tuple[Stub, Any]]:
     with Stub(speed=SPEED) as stub, client_of(stub) as system:
         yield stub, system
+
+
+@pytest.fixture
+def copter() -> Iterator[Any]:
+    with ardupilot_for_mavsdk() as stub, client_of(stub) as system:
+        yield system
+
+
+def ardupilot_for_mavsdk() -> Stub:
+    """With the bit by which thrust means thrust: MAVSDK's attitude setpoints carry a thrust."""
+    settings = {"GUID_OPTIONS": 8.0, "ATC_ANGLE_BOOST": 0.0}
+    return Stub("ardupilot", speed=SPEED, ready_after_s=2.0, parameters=settings)
 
 
 def test_mavsdk_flies_a_whole_flight(connected: tuple[Stub, Any]) -> None:
@@ -96,40 +108,34 @@ def test_mavsdk_that_goes_away_leaves_the_vehicle_to_its_failsafe() -> None:
         assert stub.wait(40.0) == 0  # offboard loss, land, disarm
 
 
-def test_mavsdk_flies_ardupilot_too() -> None:
+def test_mavsdk_flies_ardupilot_too(copter: Any) -> None:
     """Telemetry, health, parameters (floats on this firmware), arm, take-off, offboard position and attitude, land."""
-    # With the bit by which thrust means thrust: MAVSDK's attitude setpoints carry a thrust.
-    settings = {"GUID_OPTIONS": 8.0, "ATC_ANGLE_BOOST": 0.0}
-    with (
-        Stub("ardupilot", speed=SPEED, ready_after_s=2.0, parameters=settings) as stub,
-        client_of(stub) as system,
-    ):
-        action, telemetry, offboard, param = (
-            Action(system),
-            Telemetry(system),
-            Offboard(system),
-            Param(system),
-        )
-        telemetry.set_rate_position_velocity_ned(10.0)
-        telemetry.set_rate_attitude_euler(10.0)
-        _ask_for_health(telemetry)
-        assert _until(telemetry.health_all_ok)
-        assert param.get_param_float("ATC_ANG_RLL_P") == pytest.approx(4.5, abs=0.5)
-        param.set_param_float("ATC_ANG_RLL_P", 5.0)
-        assert param.get_param_float("ATC_ANG_RLL_P") == pytest.approx(5.0)
-        assert param.get_param_int("GUID_OPTIONS") == 8
-        action.set_takeoff_altitude(3.0)
-        action.arm()
-        action.takeoff()
-        assert _until(lambda: telemetry.position().relative_altitude_m > 2.5)
-        offboard.set_position_ned(PositionNedYaw(1.0, 0.0, -3.0, 0.0))
-        offboard.start()
-        assert _until(lambda: abs(telemetry.position_velocity_ned().position.north_m - 1.0) < 0.3)
-        offboard.set_attitude(Attitude(0.0, 0.0, 15.0, 0.369))
-        assert _until(lambda: 10.0 < telemetry.attitude_euler().yaw_deg < 20.0)
-        offboard.set_position_ned(PositionNedYaw(1.0, 0.0, -3.0, 0.0))
-        action.land()
-        assert _until(lambda: not telemetry.armed(), 60.0)
+    action, telemetry, offboard, param = (
+        Action(copter),
+        Telemetry(copter),
+        Offboard(copter),
+        Param(copter),
+    )
+    telemetry.set_rate_position_velocity_ned(10.0)
+    telemetry.set_rate_attitude_euler(10.0)
+    _ask_for_health(telemetry)
+    assert _until(telemetry.health_all_ok)
+    assert param.get_param_float("ATC_ANG_RLL_P") == pytest.approx(4.5, abs=0.5)
+    param.set_param_float("ATC_ANG_RLL_P", 5.0)
+    assert param.get_param_float("ATC_ANG_RLL_P") == pytest.approx(5.0)
+    assert param.get_param_int("GUID_OPTIONS") == 8
+    action.set_takeoff_altitude(3.0)
+    action.arm()
+    action.takeoff()
+    assert _until(lambda: telemetry.position().relative_altitude_m > 2.5)
+    offboard.set_position_ned(PositionNedYaw(1.0, 0.0, -3.0, 0.0))
+    offboard.start()
+    assert _until(lambda: abs(telemetry.position_velocity_ned().position.north_m - 1.0) < 0.3)
+    offboard.set_attitude(Attitude(0.0, 0.0, 15.0, 0.369))
+    assert _until(lambda: 10.0 < telemetry.attitude_euler().yaw_deg < 20.0)
+    offboard.set_position_ned(PositionNedYaw(1.0, 0.0, -3.0, 0.0))
+    action.land()
+    assert _until(lambda: not telemetry.armed(), 60.0)
 
 
 @pytest.mark.parametrize("firmware", ["px4", "ardupilot"])
