@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -161,3 +162,58 @@ def test_mavsdk_notices_that_the_stub_is_gone_and_back() -> None:
         assert _until(lambda: not system.is_connected())
         with Stub(arguments=["--udp", f"127.0.0.1:{remote}@{local}"]):
             assert _until(system.is_connected)
+
+
+def test_mavsdk_plans_fences_circles_and_lists_logs() -> None:
+    """What MAVSDK's examples do with a PX4: geofence, mission up, down, flown with its progress, orbit, return, logs."""
+    from mavsdk.plugins.action import OrbitYawBehavior
+    from mavsdk.plugins.geofence import FenceType, Geofence, GeofenceData, Point, Polygon
+    from mavsdk.plugins.log_files import LogFiles
+    from mavsdk.plugins.mission import Mission, MissionItem, MissionPlan
+
+    with Stub(speed=SPEED) as stub, client_of(stub) as system:
+        action, telemetry, mission = Action(system), Telemetry(system), Mission(system)
+        assert _until(telemetry.health_all_ok)
+        home = telemetry.position()
+
+        def at(north_m: float, east_m: float) -> tuple[float, float]:
+            north, east = north_m / 111_195.0, east_m / 111_195.0 / math.cos(math.radians(home.latitude_deg))
+            return home.latitude_deg + north, home.longitude_deg + east
+
+        corners = [Point(*at(x, y)) for x, y in ((-50, -50), (50, -50), (50, 50), (-50, 50))]
+        Geofence(system).upload_geofence(GeofenceData([Polygon(corners, FenceType.INCLUSION)], []))
+        items = [
+            MissionItem(
+                *at(*place),
+                relative_altitude_m=4.0,
+                speed_m_s=3.0,
+                is_fly_through=True,
+                gimbal_pitch_deg=math.nan,
+                gimbal_yaw_deg=math.nan,
+                camera_action=MissionItem.CameraAction.NONE,
+                loiter_time_s=math.nan,
+                camera_photo_interval_s=math.nan,
+                acceptance_radius_m=1.0,
+                yaw_deg=math.nan,
+                camera_photo_distance_m=math.nan,
+                vehicle_action=MissionItem.VehicleAction.NONE,
+            )
+            for place in ((6.0, 0.0), (6.0, 6.0))
+        ]
+        mission.upload_mission(MissionPlan(items))
+        assert len(mission.download_mission().mission_items) == 2
+        action.arm()
+        mission.start_mission()
+        assert _until(lambda: telemetry.flight_mode() == FlightMode.MISSION)
+        assert _until(mission.is_mission_finished, 60.0), mission.mission_progress()
+        progress = mission.mission_progress()
+        assert progress.current == progress.total == 2
+        centre = at(6.0, 0.0)
+        around = OrbitYawBehavior.HOLD_FRONT_TO_CIRCLE_CENTER
+        action.do_orbit(5.0, 2.0, around, *centre, home.absolute_altitude_m + 4.0)
+        assert _until(lambda: telemetry.position_velocity_ned().position.east_m < -3.0), (
+            telemetry.flight_mode()
+        )
+        action.return_to_launch()
+        assert _until(lambda: not telemetry.armed(), 90.0)
+        assert len(LogFiles(system).get_entries()) == 1
