@@ -99,10 +99,11 @@ def fly_short(
     settings: Sequence[str] = (),
     level: str = "attitude",
     trajectory: str = "lemniscate",
+    profile: str | None = "qball2",
     **options: bool,
 ) -> Flown:
     """Fly SHORT in this process and read the log back."""
-    loaded = load_settings("qball2", {"level": level, "trajectory": trajectory}, [*SHORT, *settings])
+    loaded = load_settings(profile, {"level": level, "trajectory": trajectory}, [*SHORT, *settings])
     reporter, log = Watching(at or {}), folder / "flight.mcap"
     session = SessionOptions(Connection(parse_endpoint(stub.endpoint)), log, overwrite=True, **options)
     result = fly(loaded, session, reporter)
