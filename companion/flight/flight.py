@@ -60,7 +60,8 @@ REAL_TIME_TOLERANCE = 0.02  # of the time passed: a lockstep simulation runs at 
 
 
 class Flight:
-    """See the module. `make_loop` builds the control loop once the autopilot is known."""
+    """See the module. `make_loop` builds the control loop once the autopilot is known, `use_measured` changes its gains
+    for what the flight has shown by the time it is to track."""
 
     begins_in_air = False
     """Whether the vehicle flies already: parameters are left alone then."""
@@ -76,6 +77,7 @@ class Flight:
         interrupts: Interrupts,
         make_loop: Callable[[Vehicle], ControlLoop],
         check_plan: Callable[[FlightPlan, float], None],
+        use_measured: Callable[[ControlLoop, float], None] = lambda _loop, _time_s: None,
     ) -> None:
         self._vehicle = vehicle
         self._request = request
@@ -86,6 +88,7 @@ class Flight:
         self._interrupts = interrupts
         self._make_loop = make_loop
         self._check_plan = check_plan
+        self._use_measured = use_measured
         self._loop: ControlLoop
         self._ground_left: Reference  # where it stood when it was armed
         self._stage = Stage(vehicle, recorder, reporter, then=request.then)
@@ -422,6 +425,8 @@ class Flight:
         loop, plan = self._loop, self._stage.plan
         for leg in plan.legs:
             self._stage.enter(leg.phase)
+            if leg.phase in (Phase.RUN_IN, Phase.TRACK):
+                self._use_measured(loop, self._vehicle.link.autopilot_time_s)
             tracking = leg.phase is Phase.TRACK
             if tracking:
                 self._recorder.log.event("tracking", self._vehicle.link.autopilot_time_s, active=True)
