@@ -9,8 +9,8 @@ import json
 import os
 import shlex
 import sys
-from collections.abc import Callable
-from contextlib import nullcontext, suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -45,6 +45,13 @@ def add_parser(subparsers: Any) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_flight_options(parser)
+    add_log_options(parser)
+    parser.add_argument("--report", nargs="?", const="", metavar="FILE", help="also write an HTML report")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
+def add_log_options(parser: argparse.ArgumentParser) -> None:
+    """Options of what is flown by one law into one log; `fly` and `standby` share them."""
     parser.add_argument(
         "--controller",
         default="dtlannc",
@@ -58,8 +65,6 @@ def add_parser(subparsers: Any) -> None:
         "--log", metavar="FILE", help="MCAP file (default: flights/TIME-CONTROLLER-LEVEL.mcap)"
     )
     parser.add_argument("--overwrite", action="store_true", help="replace an existing log file")
-    parser.add_argument("--report", nargs="?", const="", metavar="FILE", help="also write an HTML report")
-    parser.add_argument("--json", action="store_true", help="print the result as JSON")
 
 
 def add_flight_options(parser: argparse.ArgumentParser, required: bool = True) -> None:
@@ -121,6 +126,7 @@ def add_flight_options(parser: argparse.ArgumentParser, required: bool = True) -
         choices=("hold", "land", "return"),
         help="what the autopilot does once the plan is flown (default: hold with --from-air, else land)",
     )
+    parser.set_defaults(engage_port=None)  # a number is what stands by
     parser.add_argument("--arm", action="store_true", help="let the companion arm a real vehicle")
     parser.add_argument("--wait-for-offboard", action="store_true", help="leave the mode switch to the pilot")
     parser.add_argument(
@@ -182,21 +188,28 @@ def run(arguments: argparse.Namespace) -> int:
     """Fly once. Raises UserError for wrong input."""
     log_path, claimed = log_path_of(arguments, arguments.log)
     report = _report_path(arguments.report, log_path)
-    try:
+    with unless_empty(log_path, claimed):
         if report is not None:
             prepare_report(report)
         outcome, text, code = fly_once(
             arguments, arguments.controller, arguments.seed, log_path, arguments.overwrite or claimed
         )
-    finally:
-        with suppress(OSError):
-            if claimed and not log_path.stat().st_size:  # nothing was flown
-                log_path.unlink()
     try:
         _show(log_path, report, arguments.json, outcome, text)
     except (Exception, KeyboardInterrupt) as error:  # the flight is over: its exit code stands
         print(f"no table: {error!r}\nlog: {log_path}", file=sys.stderr)
     return code
+
+
+@contextmanager
+def unless_empty(log_path: Path, claimed: bool) -> Iterator[None]:
+    """A log file that was made for a flight which never began is gone afterwards."""
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            if claimed and not log_path.stat().st_size:
+                log_path.unlink()
 
 
 def log_path_of(arguments: argparse.Namespace, given: str | None) -> tuple[Path, bool]:
@@ -257,12 +270,12 @@ def told_report(write: Callable[[], None]) -> bool:
 def fly_once(
     arguments: argparse.Namespace, controller: str, seed: int, log_path: Path, overwrite: bool
 ) -> tuple[str, str, int]:
-    """One flight with the shared options; returns outcome, text and exit code."""
+    """One flight with the shared options, or where they say so standing by for many; outcome, text and exit code."""
     from companion.autopilot.adapter import Intent
     from companion.cli.console import ConsoleReporter
     from companion.cli.sitl import FIRMWARES, STUB_PATIENCE, airborne, running_stub
     from companion.config.settings import load_settings
-    from companion.flight.session import SessionOptions, fly
+    from companion.flight.session import SessionOptions, fly, stand_by
     from companion.reference.registry import trajectory_from_text
 
     law_text = ""
@@ -310,9 +323,10 @@ def fly_once(
             outside_poses=pose_address(arguments.outside_poses),
             pose_rate_hz=_pose_rate(arguments.pose_rate),
             law_text=law_text,
+            engage_port=arguments.engage_port or 0,
         )
         try:
-            result = fly(settings, options, reporter)
+            result = (fly if arguments.engage_port is None else stand_by)(settings, options, reporter)
             reporter.say(f"{result.outcome.value}: {result.text}")
         finally:
             reporter.close()

@@ -82,6 +82,12 @@ class Settings:
         """Output level."""
         return ControlLevel(self.flight.level)
 
+    def gains_of(self, controller: str) -> ControllerGains:
+        """The gains of any law at this level; those of the flight's own with what `--set gains.` changed."""
+        if controller == self.flight.controller:
+            return self.gains
+        return select_gains(self.profile, controller, self.flight.level)
+
     def as_tables(self) -> dict[str, Any]:
         """Everything as plain tables, for the log; `settings_from_tables` reads it back."""
         return {

@@ -11,7 +11,7 @@ import enum
 import math
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,7 +33,7 @@ from companion.flight.realtime import LoopWatchdog
 from companion.flight.recorder import Recorder
 from companion.flight.setpoint_gate import SetpointGate
 from companion.flight.setpoint_sender import SetpointSender
-from companion.flight.supervisor import Judgement, Sight, Supervisor, tilt_of
+from companion.flight.supervisor import Judgement, Sight, Supervisor, law_bounds, tilt_of
 from companion.flight.vehicle import Vehicle
 from companion.mavlink.link import mav
 from companion.mavlink.stream_timing import StreamFigures
@@ -95,9 +95,12 @@ class ControlLoop:
         settings: FlightSettings,
         recorder: Recorder,
         gate: SetpointGate,
+        laws: Mapping[str, ControlLaw] | None = None,
     ) -> None:
+        """`law` flies first; `laws` are those that `change_law` knows, by name (None: it alone)."""
         self._vehicle = vehicle
         self._law = law
+        self.laws: Mapping[str, ControlLaw] = laws or {law.name: law}
         self._predictor = predictor
         self._hover = hover
         self._sender = SetpointSender(vehicle, thrust, gate, hover, predictor, recorder)
@@ -146,6 +149,29 @@ class ControlLoop:
     def law(self) -> ControlLaw:
         """The law that flies."""
         return self._law
+
+    def change_law(self, name: str) -> None:
+        """Let another of `laws` fly, in the air without a bump: it goes on from the setpoint that was sent last.
+
+        Raises KeyError for a name that is not among them.
+        """
+        self._law = self.laws[name]
+        self._memory = self._law.initial_memory()
+        state = self._vehicle.state
+        if self.activity is Activity.FOLLOW and state is not None:
+            sender, ahead = self._sender, self._predictor.predict(state)
+            self._take_over(
+                ahead, self._sample(ahead.time_s), sender.asked_thrust_newton, sender.asked_quaternion
+            )
+            if self._watching is not None:
+                self._watching.supervisor.law_changed(law_bounds(self._law))
+
+    def _take_over(
+        self, state: VehicleState, reference: Reference, thrust_newton: float, quaternion: Vector
+    ) -> None:
+        self._memory = self._law.take_over(self._memory, state, reference, thrust_newton, quaternion)
+        self._terms = None
+        self._recorder.log.event("law", self._vehicle.link.autopilot_time_s, controller=self._law.name)
 
     @property
     def controlled_until_s(self) -> float:
@@ -218,13 +244,9 @@ class ControlLoop:
         self._shift_enu, self._shift_yaw_rad = None, 0.0
         self._jump_enu = None
         self._sender.thrust = replace(self._sender.thrust, hover_thrust=self._hover.hover_thrust)
-        self._memory = self._law.take_over(
-            self._memory,
-            seen,
-            plan.sample(seen.time_s - state.time_s),
-            self._sender.thrust.newton(self._sender.thrust.hover_thrust),
-            self._level_quaternion,
-        )
+        scale = self._sender.thrust
+        reference = plan.sample(seen.time_s - state.time_s)
+        self._take_over(seen, reference, scale.newton(scale.hover_thrust), self._level_quaternion)
         self._last_step_s = state.time_s - self.period_s
         self.activity = Activity.FOLLOW
 

@@ -60,6 +60,8 @@ class Flight:
 
     begins_in_air = False
     """Whether the vehicle flies already: parameters are left alone then."""
+    patience_s: float | None = None
+    """How long an autopilot is waited for, and until it is ready; None: as set."""
 
     def __init__(
         self,
@@ -105,10 +107,7 @@ class Flight:
         """
         self._vehicle.watch = self._watch
         try:
-            self._stage.enter(Phase.CONNECT)
-            self._vehicle.connect(self._settings.procedure.connect_timeout_s, self._journal.waiting)
-            self._vehicle.on_message = self._on_message
-            self._prepare()
+            self._get_ready()
             self._take_off()
             self._follow_plan()
             result = self._descent.end(PlanFlown("the plan is flown"))
@@ -141,6 +140,13 @@ class Flight:
 
     # Before the flight --------------------------------------------------------------------------------
 
+    def _get_ready(self) -> None:
+        self._stage.enter(Phase.CONNECT)
+        timeout_s = self._settings.procedure.connect_timeout_s if self.patience_s is None else self.patience_s
+        self._vehicle.connect(timeout_s, self._journal.waiting)
+        self._vehicle.on_message = self._on_message
+        self._prepare()
+
     def _prepare(self) -> None:
         vehicle, reporter = self._vehicle, self._reporter
         reporter.say(f"{vehicle.firmware}, system {vehicle.link.target_system}")
@@ -164,7 +170,7 @@ class Flight:
         self._stage.enter(Phase.READY)
         vehicle.on_state = self._loop.on_state
         vehicle.on_lone_attitude = self._loop.on_lone_attitude
-        waited_s = checks.wait_until_ready()
+        waited_s = checks.wait_until_ready(self.patience_s)
         reporter.say(f"ready after {waited_s:.1f} s")
         self._clocks_s = (vehicle.link.autopilot_time_s, time.monotonic())
         self._report([*checks.link_findings(checks.measure()), *checks.vehicle_findings()])
@@ -423,7 +429,7 @@ class Flight:
             raise PilotTookOver("disarmed in flight" if self._stage.airborne else "disarmed")
         if moved := self._pilot.moved_sticks():
             self._handed_over_s = vehicle.link.autopilot_time_s
-            self._stage.nobody_has_it = self._nobody_has_it
+            self._stage.nobody_has_it, self._stage.sticks_moved = self._nobody_has_it, True
             raise PilotTookOver(f"sticks moved: {moved}")
         self._watch_transmitter()
         if self._watchdog.tripped:
