@@ -80,8 +80,9 @@ class Finding:
     fix: tuple[str, float] | None = None  # (parameter, value) that is safe to set for the flight
 
 
-RATES_HELD_S = 0.5
-"""How long the last body rates or torques of a companion that has died may be held: a turn at 1 rad/s is then 30°."""
+RATES_HELD_S, TORQUES_HELD_S = 0.5, 0.2
+"""How long the last body rates (a turn at 1 rad/s is then 30°) or torques (which quicken a turn: 10 rad/s² are then 11°)
+of a companion that has died may be held."""
 
 
 def held_setpoint(name: str, held_s: float, longest_s: float, remedy: str, level: ControlLevel) -> Finding:
@@ -96,7 +97,7 @@ def held_setpoint(name: str, held_s: float, longest_s: float, remedy: str, level
     """
     wanted_s, why = min(1.0, longest_s), "a dead companion is noticed this late only"
     if level is not ControlLevel.ATTITUDE:
-        longest_s = wanted_s = RATES_HELD_S
+        longest_s = wanted_s = RATES_HELD_S if level is ControlLevel.BODY_RATE else TORQUES_HELD_S
         why = (
             "when the companion dies its last rates or torques are held for so long: the vehicle may tip over"
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import traceback
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
@@ -52,6 +53,7 @@ _STANDING = (
 )  # idle setpoints go out, which must never meet a flying vehicle
 MOST_RAISED_M = 1.0  # beyond that it is another flight than was asked for
 LOWEST_SAMPLES = 400
+MISTAKE = "mistake in this program"
 REAL_TIME_TOLERANCE = 0.02  # of the time passed: a lockstep simulation runs at any other speed
 
 
@@ -118,10 +120,12 @@ class Flight:
         except UserError as error:
             self._write_down(self._descent.end(Refused(str(error))))
             raise
-        except Exception as error:  # a mistake of ours must not leave a vehicle in the air
-            result = self._write_down(self._descent.end(Aborted(f"mistake in this program: {error!r}")))
-            self._reporter.say(f"{result.outcome.value}: {result.text}")
-            raise
+        except Exception as error:
+            # A mistake of ours, or of somebody's law, must not leave a vehicle in the air; table, JSON and log stand.
+            result = self._descent.end(Aborted(f"{MISTAKE}: {error!r}"))
+            where = traceback.format_exc()
+            self._recorder.log.event("mistake", self._vehicle.link.autopilot_time_s, text=where)
+            self._reporter.say(where)
         return self._write_down(result)
 
     def _write_down(self, result: FlightResult) -> FlightResult:
@@ -133,6 +137,7 @@ class Flight:
             reacted = in_words(reaction_times(loop.reactions, loop.controlled_until_s))
             result = replace(result, text=f"{result.text}; {reacted}") if reacted else result
             self._recorder.log.metadata("wall setpoints", loop.counters)
+        self._recorder.log.metadata("wall link", self._vehicle.link.counters)
         self._recorder.log.event(
             "ended", self._vehicle.link.autopilot_time_s, outcome=result.outcome.value, text=result.text
         )

@@ -15,6 +15,7 @@ from companion.autopilot.adapter import Intent
 from companion.config.errors import UserError
 from companion.flight.control_loop import Activity
 from companion.flight.engagement import Engagement, FlightFromAir
+from companion.flight.flight import MISTAKE
 from companion.flight.outcome import HandedBack, Outcome, Refused
 from companion.flight.phases import Phase
 from companion.flight.reporter import Reporter
@@ -239,8 +240,8 @@ class Standby:
             engagements += flight.has_engaged
             if self._interrupts.count:
                 return result if flight.has_engaged else _over(engagements)
-            if result.outcome is Outcome.REFUSED:
-                return result
+            if result.outcome is Outcome.REFUSED or MISTAKE in result.text:
+                return result  # neither goes away by itself
             self._reporter.say(f"{result.outcome.value}: {result.text}")
             held = flight.has_engaged or result.outcome is Outcome.HANDED_BACK
             before = flight if held and result.outcome is not Outcome.LINK_LOST else None

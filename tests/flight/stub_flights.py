@@ -100,12 +100,15 @@ def fly_short(
     settings: Sequence[str] = (),
     level: str = "attitude",
     trajectory: str = "lemniscate",
+    system: int | None = None,
     **options: Any,
 ) -> Flown:
     """Fly SHORT in this process and read the log back."""
     loaded = load_settings("qball2", {"level": level, "trajectory": trajectory}, [*SHORT, *settings])
     reporter, log = Watching(at or {}), folder / "flight.mcap"
-    session = SessionOptions(Connection(parse_endpoint(stub.endpoint)), log, overwrite=True, **options)
+    session = SessionOptions(
+        Connection(parse_endpoint(stub.endpoint), system=system), log, overwrite=True, **options
+    )
     result = fly(loaded, session, reporter)
     return Flown(result, read_log(log), reporter, log)
 
