@@ -7,6 +7,7 @@ memory, bit for bit. Where it does not, the code, numba or the processor's arith
 
 from __future__ import annotations
 
+import bisect
 import json
 import tempfile
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ import numpy as np
 from companion.config.errors import UserError
 from companion.config.settings import Settings, settings_from_tables
 from companion.control.law import ControlLaw, StepRefused
-from companion.control.laws import LAWS, load_law_file
+from companion.control.laws import AUTOPILOT, LAWS, load_law_file
 from companion.control.packing import INPUT, TERMS, Memory, memory_dtype
 from companion.control.registry import build_law
 from companion.flightlog.channels import packed_channel
@@ -55,8 +56,13 @@ class Replay:
         return self.steps > 0 and self.identical == self.steps
 
 
-def law_of(record: FlightRecord, law_file: Path | None = None, run_law_in_log: bool = False) -> ControlLaw:
-    """Build the control law a flight was flown with.
+def law_of(
+    record: FlightRecord,
+    law_file: Path | None = None,
+    run_law_in_log: bool = False,
+    controller: str | None = None,
+) -> ControlLaw:
+    """Build the control law a flight was flown with; where several took turns the first, or `controller`.
 
     A law of somebody's own is a program: it is taken from `law_file`, and from the log only where `run_law_in_log` says so.
     Raises UserError where the log does not hold its settings, or such a law is not given.
@@ -68,13 +74,13 @@ def law_of(record: FlightRecord, law_file: Path | None = None, run_law_in_log: b
         settings: Settings = settings_from_tables(json.loads(text))
     except (ValueError, KeyError, TypeError) as error:
         raise UserError(f"{record.path}: the settings in this log cannot be read: {error}") from error
-    _know_law(record, settings.flight.controller, law_file, run_law_in_log)
+    name = controller or settings.flight.controller
+    _know_law(record, name, law_file, run_law_in_log)
     firmware = record.flight.get("firmware", "").lower()
     autopilot = next((key for start, key in AUTOPILOTS.items() if firmware.startswith(start)), None)
     flight = settings.flight
-    return build_law(
-        flight.controller, settings.gains, settings.profile, settings.level, flight.seed, autopilot=autopilot
-    )
+    gains = settings.gains_of(name)
+    return build_law(name, gains, settings.profile, settings.level, flight.seed, autopilot=autopilot)
 
 
 def _know_law(record: FlightRecord, name: str, law_file: Path | None, run_law_in_log: bool) -> None:
@@ -102,6 +108,15 @@ def replay(record: FlightRecord, law: ControlLaw | None = None, most_mismatches:
     Raises UserError where the log holds no steps or was written with another layout of the law's records.
     """
     law = law_of(record) if law is None else law
+    took_over = [(event.time_s, str(event.fields["controller"])) for event in record.events_of("law")]
+    laws = {law.name: law}
+    for name in dict.fromkeys(name for _, name in took_over):
+        if name not in laws and name != AUTOPILOT:  # its own controller takes no step of ours
+            laws[name] = law_of(record, controller=name)
+    if record.channel(INPUT_TOPIC) is None and law.name == AUTOPILOT:
+        raise UserError(
+            f"{record.path}: flown by the autopilot's own controller: there are no steps of ours to repeat"
+        )
     memory_type = memory_dtype(law.hidden)
     inputs = _table(record, INPUT_TOPIC, INPUT)
     memories = _table(record, MEMORY_TOPIC, memory_type)
@@ -120,8 +135,10 @@ def replay(record: FlightRecord, law: ControlLaw | None = None, most_mismatches:
         if expected is not None and before.tobytes() != expected:
             hand_overs += 1
         memory = Memory(before.copy().view(memory_type))
+        last = bisect.bisect_left(took_over, (float(inputs.time_s[step]), "")) - 1
+        flew = laws[took_over[last][1]] if last >= 0 else law
         try:
-            result = law.step_packed(memory, inputs.values[step].copy())
+            result = flew.step_packed(memory, inputs.values[step].copy())
         except StepRefused:
             expected = None
             mismatches.append(Mismatch(step, float(inputs.time_s[step]), ("refused",), float("nan")))

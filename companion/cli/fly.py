@@ -6,6 +6,7 @@ import argparse
 import datetime
 import itertools
 import json
+import math
 import os
 import shlex
 import sys
@@ -15,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from companion.config.errors import UserError
-from companion.control.laws import LAWS, load_law_file
+from companion.control.laws import AUTOPILOT, LAWS, law_entry, load_law_file
 
 if TYPE_CHECKING:
     from companion.mavlink.connection import Connection
@@ -46,6 +47,12 @@ def add_parser(subparsers: Any) -> None:
     )
     add_flight_options(parser)
     add_log_options(parser)
+    parser.add_argument(
+        "--schedule",
+        default="",
+        metavar="LAW:S,…",
+        help="laws that take turns while tracking, so many seconds each; in place of --controller and --duration",
+    )
     parser.add_argument("--report", nargs="?", const="", metavar="FILE", help="also write an HTML report")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
 
@@ -56,7 +63,7 @@ def add_log_options(parser: argparse.ArgumentParser) -> None:
         "--controller",
         default="dtlannc",
         metavar="NAME|FILE.py",
-        help=f"control law: {', '.join(LAWS)}, or the file of your own",
+        help=f"control law: {', '.join(LAWS)}, {AUTOPILOT} (its own controller), or the file of your own",
     )
     parser.add_argument(
         "--seed", type=int, default=1, metavar="N", help="draws the networks, and the stub's noise"
@@ -126,12 +133,27 @@ def add_flight_options(parser: argparse.ArgumentParser, required: bool = True) -
         choices=("hold", "land", "return"),
         help="what the autopilot does once the plan is flown (default: hold with --from-air, else land)",
     )
-    parser.set_defaults(engage_port=None)  # a number is what stands by
+    parser.set_defaults(engage_port=None, schedule="")  # a port is what stands by
     parser.add_argument("--arm", action="store_true", help="let the companion arm a real vehicle")
     parser.add_argument("--wait-for-offboard", action="store_true", help="leave the mode switch to the pilot")
     parser.add_argument(
         "--fix", action="store_true", help="set parameters that stand in the way, put them back on landing"
     )
+
+
+def schedule_from(text: str) -> tuple[tuple[str, float], ...]:
+    """Laws and seconds of `tlmbc:20,dtlannc:20`. Raises UserError for anything else."""
+    parts = []
+    for part in text.split(","):
+        name, _, seconds = part.strip().partition(":")
+        try:
+            lasts_s = float(seconds)
+        except ValueError:
+            lasts_s = math.nan
+        if not name or not 1.0 <= lasts_s <= 3600.0:
+            raise UserError(f"--schedule {part!r}: give LAW:SECONDS, for example tlmbc:20,dtlannc:20")
+        parts.append((name, lasts_s))
+    return tuple(parts)
 
 
 def add_link_options(parser: argparse.ArgumentParser) -> None:
@@ -279,6 +301,11 @@ def fly_once(
     from companion.reference.registry import trajectory_from_text
 
     law_text = ""
+    schedule = schedule_from(arguments.schedule) if arguments.schedule else ()
+    if schedule:
+        controller = schedule[0][0]
+        for name, _ in schedule:
+            law_entry(name)  # a wrong one is told before anything is started
     if controller.endswith(".py"):
         law_file = Path(controller)
         controller = load_law_file(law_file)
@@ -291,10 +318,12 @@ def fly_once(
             "trajectory": arguments.trajectory,
             "layout": arguments.frame,
             "seed": seed,
-            "duration_s": arguments.duration,
+            "duration_s": sum(lasts_s for _, lasts_s in schedule) or arguments.duration,
         },
         ([STUB_PATIENCE] if arguments.sitl else []) + arguments.overrides,
     )
+    for name in dict.fromkeys(name for name, _ in schedule):
+        settings.gains_of(name)
     if arguments.from_air and arguments.fix:
         raise UserError("--fix sets parameters on the ground: run `companion check --fix` before the flight")
     trajectory_from_text(arguments.trajectory)  # a wrong one is told before anything is started
@@ -322,6 +351,7 @@ def fly_once(
             command_line=shlex.join(sys.argv),
             outside_poses=pose_address(arguments.outside_poses),
             pose_rate_hz=_pose_rate(arguments.pose_rate),
+            schedule=schedule,
             law_text=law_text,
             engage_port=arguments.engage_port or 0,
         )

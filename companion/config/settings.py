@@ -22,7 +22,7 @@ DEFAULT_RATE_HZ: dict[LevelName, float] = {"attitude": 100.0, "body_rate": 250.0
 """Control rates whose periods are whole milliseconds, as ArduPilot wants them, and multiples of PX4's 4 ms (simulated)."""
 
 
-GAINS_OF: dict[str, str] = {}
+GAINS_OF: dict[str, str] = {"autopilot": "tlmbc"}
 """Laws of one's own (`companion.register_law`) → the law whose gains they take where a profile has none for them."""
 
 

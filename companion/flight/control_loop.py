@@ -22,6 +22,7 @@ from companion.config.safety import Reaction
 from companion.config.settings import FlightSettings
 from companion.control.bounds import POSITION_SATURATES
 from companion.control.law import ControlLaw, StepRefused, pack_input
+from companion.control.laws import AUTOPILOT
 from companion.control.packing import Memory, Terms
 from companion.control.prediction import Predictor
 from companion.control.structs import AdaptationGate, ControlLevel, Reference, Vector, VehicleState
@@ -155,23 +156,31 @@ class ControlLoop:
 
         Raises KeyError for a name that is not among them.
         """
-        self._law = self.laws[name]
+        before, self._law = self._law, self.laws[name]
         self._memory = self._law.initial_memory()
-        state = self._vehicle.state
-        if self.activity is Activity.FOLLOW and state is not None:
-            sender, ahead = self._sender, self._predictor.predict(state)
-            self._take_over(
-                ahead, self._sample(ahead.time_s), sender.asked_thrust_newton, sender.asked_quaternion
-            )
-            if self._watching is not None:
-                self._watching.supervisor.law_changed(law_bounds(self._law))
+        state, sender = self._vehicle.state, self._sender
+        if self.activity is not Activity.FOLLOW or state is None:
+            return
+        if before.name == AUTOPILOT:
+            self._predictor.hovering(state.time_s, sender.asked_quaternion, sender.asked_thrust_newton)
+        ahead = self._predictor.predict(state)
+        reference = self._sample(ahead.time_s)
+        self._take_over(state.time_s, ahead, reference, sender.asked_thrust_newton, sender.asked_quaternion)
+        if self._watching is not None:
+            self._watching.supervisor.law_changed(law_bounds(self._law))
 
     def _take_over(
-        self, state: VehicleState, reference: Reference, thrust_newton: float, quaternion: Vector
+        self,
+        time_s: float,
+        state: VehicleState,
+        reference: Reference,
+        thrust_newton: float,
+        quaternion: Vector,
     ) -> None:
+        """The law flies from the state after the one at `time_s` on."""
         self._memory = self._law.take_over(self._memory, state, reference, thrust_newton, quaternion)
         self._terms = None
-        self._recorder.log.event("law", self._vehicle.link.autopilot_time_s, controller=self._law.name)
+        self._recorder.log.event("law", time_s, controller=self._law.name)
 
     @property
     def controlled_until_s(self) -> float:
@@ -246,7 +255,8 @@ class ControlLoop:
         self._sender.thrust = replace(self._sender.thrust, hover_thrust=self._hover.hover_thrust)
         scale = self._sender.thrust
         reference = plan.sample(seen.time_s - state.time_s)
-        self._take_over(seen, reference, scale.newton(scale.hover_thrust), self._level_quaternion)
+        newton = scale.newton(scale.hover_thrust)
+        self._take_over(state.time_s, seen, reference, newton, self._level_quaternion)
         self._last_step_s = state.time_s - self.period_s
         self.activity = Activity.FOLLOW
 
@@ -379,10 +389,16 @@ class ControlLoop:
             turned = judgement.yaw_jump_rad
             self._recorder.log.event("estimator_reset", state.time_s, jump_enu=moved, yaw_jump_rad=turned)
         self._react(judgement, state.time_s)
-        self._estimate_hover(state, trusted=judgement.gate is AdaptationGate.RUN)
+        ours = self._law.name != AUTOPILOT
+        self._estimate_hover(state, trusted=ours and judgement.gate is AdaptationGate.RUN)
         if judgement.yaw_jump_rad or self._plan is not plan:
             reference = self._sample(state.time_s)
         self.position_error_enu = reference.position_enu - state.position_enu
+        tracking_s = tracking_time(self._plan, state.time_s - self._plan_started_s)
+        if not ours:
+            self._sender.send_reference(state, reference)
+            self._recorder.reference(state.time_s, reference, tracking_s)
+            return 0.0
         dt_s = min(state.time_s - self._last_step_s, LONGEST_STEP * self.period_s)
         law_ns = time.perf_counter_ns()
         ahead = self._predictor.predict(state)
@@ -399,9 +415,7 @@ class ControlLoop:
         rotor_thrust = result.terms.packed["rotor_thrust"][0] if actuators else None
         if self._sender.send(state.time_s, result.setpoint, rotor_thrust):
             self._memory, self._terms = result.memory, result.terms
-        self._recorder.reference(
-            state.time_s, reference, tracking_time(self._plan, state.time_s - self._plan_started_s)
-        )
+        self._recorder.reference(state.time_s, reference, tracking_s)
         self._recorder.step(state.time_s, memory, inputs, result)
         self._note_bounds(result.terms.flags)
         return law_s

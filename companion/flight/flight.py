@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 import traceback
 from collections.abc import Callable
@@ -53,6 +54,7 @@ _STANDING = (
 )  # idle setpoints go out, which must never meet a flying vehicle
 MOST_RAISED_M = 1.0  # beyond that it is another flight than was asked for
 LOWEST_SAMPLES = 400
+NO_POSITIONS = "the autopilot's own controller follows no positions here: it has no position estimate (GPS)"
 MISTAKE = "mistake in this program"
 REAL_TIME_TOLERANCE = 0.02  # of the time passed: a lockstep simulation runs at any other speed
 
@@ -160,6 +162,8 @@ class Flight:
         checks.ask_for_streams()
         findings = checks.parameter_findings()
         self._loop = self._stage.loop = self._make_loop(vehicle)
+        if any(name not in self._loop.laws for name, _ in self._request.schedule):
+            raise Refused(NO_POSITIONS)
         if checks.changes.pending() and not self.begins_in_air:
             self._require_standing()
             checks.changes.put_back()
@@ -397,6 +401,7 @@ class Flight:
             tracking = leg.phase is Phase.TRACK
             if tracking:
                 self._recorder.log.event("tracking", self._vehicle.link.autopilot_time_s, active=True)
+                self._take_turns(leg.start_s)
             end_s = leg.start_s + leg.duration_s
             self._vehicle.until(lambda end_s=end_s: bool(loop.held) or loop.plan_time_s >= end_s)  # type: ignore[misc]
             if tracking:
@@ -405,6 +410,17 @@ class Flight:
                 self._stage.enter(Phase.HOLD)
                 self._reporter.say(f"holding: {loop.held}")
                 self._vehicle.until(lambda: False)  # until the supervisor, the pilot or the user ends it
+
+    def _take_turns(self, start_s: float) -> None:
+        """Let the laws of the schedule follow each other; returns when the last of them flies, or the plan is held."""
+        loop, at_s = self._loop, start_s
+        for (_, lasts_s), (name, _) in itertools.pairwise(self._request.schedule):
+            at_s += lasts_s
+            self._vehicle.until(lambda at_s=at_s: bool(loop.held) or loop.plan_time_s >= at_s)  # type: ignore[misc]
+            if loop.held:
+                return
+            loop.change_law(name)
+            self._reporter.say(f"flying on with {name}")
 
     # Watching ------------------------------------------------------------------------------------------
 

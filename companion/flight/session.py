@@ -23,14 +23,14 @@ from companion.autopilot.thrust import ThrustScale, mixer_of
 from companion.config.provenance import Known, as_text
 from companion.config.settings import Settings
 from companion.control.law import ControlLaw
-from companion.control.laws import LAWS
+from companion.control.laws import AUTOPILOT, LAWS
 from companion.control.prediction import Predictor
 from companion.control.registry import build_law
 from companion.control.structs import Vector
 from companion.flight import realtime
 from companion.flight.control_loop import ControlLoop
 from companion.flight.engagement import FlightFromAir
-from companion.flight.flight import Flight
+from companion.flight.flight import NO_POSITIONS, Flight
 from companion.flight.known_vehicle import KnownVehicle
 from companion.flight.outcome import Refused
 from companion.flight.phases import Phase
@@ -74,6 +74,9 @@ class SessionOptions:
     command_line: str = ""
     outside_poses: tuple[str, int] | None = None  # host, port to hear poses at that are forwarded as ODOMETRY
     pose_rate_hz: float = DEFAULT_RATE_HZ  # at most so many of them
+    schedule: tuple[
+        tuple[str, float], ...
+    ] = ()  # laws that take turns while tracking, s each; the first flies before
     law_text: str = ""  # of a law of one's own, for the log
     engage_port: int = ENGAGE_PORT  # `stand_by` hears `companion engage` there
 
@@ -93,7 +96,8 @@ def fly(settings: Settings, options: SessionOptions, reporter: Reporter) -> Flig
     def once(_vehicle: Vehicle, make: MakeFlight[Flight], _interrupts: Interrupts) -> FlightResult:
         return make(kind).run()
 
-    return _connected(settings, options, reporter, once, (settings.flight.controller,))
+    names = dict.fromkeys((settings.flight.controller, *(name for name, _ in options.schedule)))
+    return _connected(settings, options, reporter, once, tuple(names))
 
 
 def stand_by(settings: Settings, options: SessionOptions, reporter: Reporter) -> FlightResult:
@@ -107,7 +111,7 @@ def stand_by(settings: Settings, options: SessionOptions, reporter: Reporter) ->
     def again(vehicle: Vehicle, make: MakeFlight[StandbyFlight], interrupts: Interrupts) -> FlightResult:
         return Standby(vehicle, make, reporter, interrupts, wishes).run()
 
-    names = dict.fromkeys((settings.flight.controller, *LAWS))
+    names = dict.fromkeys((settings.flight.controller, *LAWS, AUTOPILOT))
     try:
         return _connected(settings, options, reporter, again, tuple(names))
     finally:
@@ -173,6 +177,7 @@ def _fly(
                 fix=options.fix,
                 wait_for_offboard=options.wait_for_offboard,
                 then=options.then,
+                schedule=options.schedule,
             )
 
             known = KnownVehicle(settings, reporter)
@@ -296,7 +301,10 @@ def _control_loop(
 ) -> ControlLoop:
     """Build everything that depends on which autopilot it is, and warm it up; the first of `controllers` flies first."""
     profile, adapter = settings.profile, vehicle.adapter
-    laws = {name: _law(settings, name, adapter.profile_key) for name in controllers}
+    names = [name for name in controllers if name != AUTOPILOT or adapter.takes_positions]
+    laws = {name: _law(settings, name, adapter.profile_key) for name in names}
+    if controllers[0] not in laws:
+        raise Refused(NO_POSITIONS)
     law = laws[controllers[0]]
     for warning in law.warnings:
         reporter.say(f"warning: {warning}")

@@ -30,6 +30,9 @@ class FlightRequest:
     fix: bool  # whether parameters that stand in the way may be set for the flight
     wait_for_offboard: bool  # whether the mode switch is the pilot's
     then: Intent = Intent.LAND  # what the autopilot is asked for once the plan is flown
+    schedule: tuple[
+        tuple[str, float], ...
+    ] = ()  # laws that take turns while tracking, s each; the first flies before
 
 
 @dataclass(frozen=True, slots=True)
