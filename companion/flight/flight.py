@@ -14,7 +14,7 @@ import numpy as np
 from companion.autopilot.adapter import ARM, Finding, Intent
 from companion.config.errors import UserError
 from companion.config.settings import FlightSettings
-from companion.control.structs import Reference
+from companion.control.structs import Reference, Vector
 from companion.flight.control_loop import ControlLoop, Watching, at_rest, level_with_heading, yaw_of
 from companion.flight.descent import Descent
 from companion.flight.fence import require_inside
@@ -201,14 +201,14 @@ class Flight:
         require_inside(settings.safety, self._stage.plan, ground.position_enu)
         level = level_with_heading(ground.yaw_rad)
         self._require_standing()
-        self._stage.enter(Phase.PROVE)
-        loop.idle(level)
-        started_s = vehicle.link.autopilot_time_s
-        vehicle.until(lambda: vehicle.link.autopilot_time_s - started_s >= settings.procedure.prove_s)
-        self._stage.enter(Phase.ENGAGE)
-        self._engage()
-        self._stage.enter(Phase.ARM)
-        self._arm()
+        if self._pilot_arms:
+            self._engage_armed(level)
+        else:
+            self._prove(level)
+            self._stage.enter(Phase.ENGAGE)
+            self._engage()
+            self._stage.enter(Phase.ARM)
+            self._arm()
         ground = self._ground()
         plan = self._lay_out(
             ground
@@ -343,15 +343,58 @@ class Flight:
             height_min_m=ground_m + 0.25,
         )
 
-    def _engage(self) -> None:
-        vehicle = self._vehicle
+    @property
+    def _pilot_arms(self) -> bool:
+        return not (self._request.may_arm or self._vehicle.simulated)
+
+    def _prove(self, level: Vector) -> None:
+        """Idle setpoints, for as long as the autopilot wants to have seen them, and until the arming gesture is over."""
+        vehicle, lasts_s = self._vehicle, self._settings.procedure.prove_s
+        self._stage.enter(Phase.PROVE)
+        self._loop.idle(level)
+        started_s = vehicle.link.autopilot_time_s
+
+        def proven() -> bool:
+            now_s = vehicle.link.autopilot_time_s
+            return now_s - started_s >= lasts_s and (not self._pilot_arms or self._pilot.lets_go(now_s))
+
+        vehicle.until(proven, self._settings.procedure.pilot_timeout_s, "sticks that are left alone")
+
+    def _engage_armed(self, level: Vector) -> None:
+        """The pilot arms first: neither autopilot takes the gesture of the sticks in our mode, and it moves the sticks.
+
+        An autopilot disarms by itself what stands armed for too long (COM_DISARM_PRFLT, DISARM_DELAY): then again.
+        """
+        vehicle, armed = self._vehicle, False
+        while not armed:
+            self._stage.enter(Phase.ARM)
+            self._loop.stop()
+            self._reporter.say("waiting for the pilot to arm (--arm lets the companion do it)")
+            timeout_s = self._settings.procedure.pilot_timeout_s
+            vehicle.until(lambda: vehicle.status.armed, timeout_s, "the pilot's arming")
+            self._prove(level)
+            self._stage.enter(Phase.ENGAGE)
+            armed = vehicle.status.armed and self._engage()
+            if not armed:
+                self._reporter.say("disarmed before our mode began")
+        self._armed_by_now = True
+
+    def _engage(self) -> bool:
+        """Our mode; False where the pilot arms, and the vehicle is disarmed before it begins."""
+        vehicle, pilot_arms = self._vehicle, self._pilot_arms and not self.begins_in_air
 
         def external() -> bool:
             return vehicle.is_ours
 
         if self._request.wait_for_offboard:
             self._reporter.say("waiting for the pilot to switch to offboard")
-            vehicle.until(external, self._settings.procedure.pilot_timeout_s, "the pilot's mode switch")
+            vehicle.until(
+                lambda: external() or (pilot_arms and not vehicle.status.armed),
+                self._settings.procedure.pilot_timeout_s,
+                "the pilot's mode switch",
+            )
+            if not external():
+                return False
         else:
             for _ in range(3):
                 result = vehicle.command(vehicle.adapter.mode(Intent.EXTERNAL), enough=external)
@@ -367,16 +410,11 @@ class Flight:
                 )
         self._stage.engaged = True
         self._pilot.sticks_are_at_rest()
+        return True
 
     def _arm(self) -> None:
+        """We arm, in our mode."""
         vehicle = self._vehicle
-        if not (self._request.may_arm or self._vehicle.simulated):
-            self._reporter.say("waiting for the pilot to arm (--arm lets the companion do it)")
-            vehicle.until(
-                lambda: vehicle.status.armed, self._settings.procedure.pilot_timeout_s, "the pilot's arming"
-            )
-            self._armed_by_now = True
-            return
         result: int | None = None
         for _ in range(10):
             if not vehicle.status.armed:
