@@ -21,6 +21,8 @@ from companion.control.laws import AUTOPILOT, LAWS, law_entry, load_law_file
 if TYPE_CHECKING:
     from companion.mavlink.connection import Connection
 
+USUAL_TRACKING_S = 40.0
+LONGEST_LIVE_S = 3600.0
 EPILOG = """examples:
   companion fly --sitl px4                                     the bundled stub, as fast as it goes
   companion fly --sitl px4 --real-time --controller tlmbc      the same in real time, another law
@@ -94,13 +96,19 @@ def add_flight_options(parser: argparse.ArgumentParser, required: bool = True) -
         "--level", default="attitude", choices=("attitude", "body_rate", "actuator"), help="what is sent"
     )
     parser.add_argument(
-        "--trajectory", default="lemniscate", metavar="NAME|FILE", help="see docs/trajectories.md"
+        "--trajectory",
+        default="lemniscate",
+        metavar="NAME|FILE",
+        help="see docs/trajectories.md; live:udp:PORT, live:mavlink:PORT, live:stdin: docs/live_references.md",
     )
     parser.add_argument(
         "--frame", default="takeoff", choices=("takeoff", "local"), help="where the trajectory is laid out"
     )
     parser.add_argument(
-        "--duration", type=float, default=40.0, metavar="S", help="tracking time (default 40)"
+        "--duration",
+        type=float,
+        metavar="S",
+        help="tracking time, s (default 40; a mission whole; live references until they end, an hour at most)",
     )
     parser.add_argument(
         "--profile",
@@ -190,14 +198,25 @@ def connection_from(arguments: argparse.Namespace, address: str) -> Connection:
 
 def pose_address(text: str | None, option: str = "--outside-poses") -> tuple[str, int] | None:
     """`[HOST:]PORT`; without a host this machine only. Raises UserError for anything else."""
-    from companion.mavlink.endpoint import checked_host
+    from companion.mavlink.endpoint import host_and_port
 
-    if text is None:
-        return None
-    host, _, port = text.rpartition(":")
-    if not port.isdecimal() or not 0 < int(port) < 65536:
-        raise UserError(f"{option} {text!r}: not [HOST:]PORT; use for example 0.0.0.0:14600")
-    return checked_host(f"{option} {text!r}", host) or "127.0.0.1", int(port)
+    return None if text is None else host_and_port(text, option)
+
+
+def tracking_time(arguments: argparse.Namespace) -> float:
+    """How long is tracked, s: as asked, and else as long as the trajectory needs.
+
+    Raises UserError for a trajectory that is none: it is told before anything is started.
+    """
+    from companion.live.trajectory import LiveTrajectory, trajectory_or_live
+    from companion.reference.mission import Mission
+
+    trajectory = trajectory_or_live(arguments.trajectory)
+    if arguments.duration is not None:
+        return float(arguments.duration)
+    if isinstance(trajectory, Mission):
+        return max(USUAL_TRACKING_S, trajectory.duration_s + 60.0)
+    return LONGEST_LIVE_S if isinstance(trajectory, LiveTrajectory) else USUAL_TRACKING_S
 
 
 def _pose_rate(rate_hz: float) -> float:
@@ -298,7 +317,7 @@ def fly_once(
     from companion.cli.sitl import FIRMWARES, STUB_PATIENCE, airborne, running_stub
     from companion.config.settings import load_settings
     from companion.flight.session import SessionOptions, fly, stand_by
-    from companion.reference.registry import trajectory_from_text
+    from companion.live.trajectory import PREFIX
 
     law_text = ""
     schedule = schedule_from(arguments.schedule) if arguments.schedule else ()
@@ -318,15 +337,16 @@ def fly_once(
             "trajectory": arguments.trajectory,
             "layout": arguments.frame,
             "seed": seed,
-            "duration_s": sum(lasts_s for _, lasts_s in schedule) or arguments.duration,
+            "duration_s": sum(lasts_s for _, lasts_s in schedule) or tracking_time(arguments),
         },
         ([STUB_PATIENCE] if arguments.sitl else []) + arguments.overrides,
     )
     for name in dict.fromkeys(name for name, _ in schedule):
         settings.gains_of(name)
+    if arguments.trajectory.startswith(PREFIX) and (schedule or arguments.engage_port is not None):
+        raise UserError("live references are flown by `companion fly`, without --schedule")
     if arguments.from_air and arguments.fix:
         raise UserError("--fix sets parameters on the ground: run `companion check --fix` before the flight")
-    trajectory_from_text(arguments.trajectory)  # a wrong one is told before anything is started
     if arguments.sitl and arguments.sitl not in FIRMWARES:
         raise UserError(f"--sitl {arguments.sitl}: the bundled stub has {', '.join(FIRMWARES)}")
     reporter = ConsoleReporter()

@@ -16,8 +16,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from companion.autopilot.attitude_response import AttitudeResponseMeter, MeasuredResponse
 from companion.autopilot.hover_thrust import HoverThrustEstimator
 from companion.autopilot.thrust import ThrustScale
+from companion.config.profile import VehicleProfile
 from companion.config.safety import Reaction
 from companion.config.settings import FlightSettings
 from companion.control.bounds import POSITION_SATURATES
@@ -98,7 +100,7 @@ class ControlLoop:
         gate: SetpointGate,
         laws: Mapping[str, ControlLaw] | None = None,
     ) -> None:
-        """`law` flies first; `laws` are those that `change_law` knows, by name (None: it alone)."""
+        """`law` flies first; `laws` are those that `fly_by` knows, by name (None: it alone)."""
         self._vehicle = vehicle
         self._law = law
         self.laws: Mapping[str, ControlLaw] = laws or {law.name: law}
@@ -151,7 +153,7 @@ class ControlLoop:
         """The law that flies."""
         return self._law
 
-    def change_law(self, name: str) -> None:
+    def fly_by(self, name: str) -> None:
         """Let another of `laws` fly, in the air without a bump: it goes on from the setpoint that was sent last.
 
         Raises KeyError for a name that is not among them.
@@ -192,6 +194,11 @@ class ControlLoop:
         """Seconds since the plan began, by the newest state."""
         state = self._vehicle.state
         return state.time_s - self._plan_started_s if state is not None else 0.0
+
+    @property
+    def moved(self) -> tuple[Vector, float]:
+        """By how much the plan was moved, (3,) m, and turned, rad, with the estimator's frame since it began."""
+        return _NO_JUMP if self._shift_enu is None else self._shift_enu, self._shift_yaw_rad
 
     # Changing over --------------------------------------------------------------------------------------
 
@@ -259,6 +266,37 @@ class ControlLoop:
         self._take_over(state.time_s, seen, reference, newton, self._level_quaternion)
         self._last_step_s = state.time_s - self.period_s
         self.activity = Activity.FOLLOW
+
+    def measure(self, meter: AttitudeResponseMeter) -> None:
+        """Let `meter` see setpoints and attitudes from now on."""
+        self._sender.meter = meter
+
+    def measured(self) -> MeasuredResponse | None:
+        """How the attitude loop has answered so far; None where that is not measured."""
+        return None if self._sender.meter is None else self._sender.meter.measured()
+
+    def change_law(self, law: ControlLaw, profile: VehicleProfile, autopilot: str) -> None:
+        """Go on in flight with gains and prediction for another response of the autopilot, without a step in what is sent.
+
+        Everything learnt so far stays: weights, and the force of the integral.
+        """
+        state = self._vehicle.state
+        assert state is not None and self.activity is Activity.FOLLOW
+        packed = self._memory.packed.copy()
+        before, now = self._law.parameters.position.K_i, law.parameters.position.K_i
+        for i in range(3):
+            if now[i] > 0.0:
+                packed[0]["position_integral"][i] *= before[i] / now[i]
+        self._law = law
+        self._predictor.respond(profile, law.level, autopilot)
+        ahead = self._predictor.predict(state)
+        self._memory = law.take_over(
+            Memory(packed),
+            ahead,
+            self._sample(ahead.time_s),
+            self._sender.asked_thrust_newton,
+            self._sender.asked_quaternion,
+        )
 
     @property
     def cannot_have_left(self) -> bool:
@@ -391,6 +429,8 @@ class ControlLoop:
         self._react(judgement, state.time_s)
         ours = self._law.name != AUTOPILOT
         self._estimate_hover(state, trusted=ours and judgement.gate is AdaptationGate.RUN)
+        if self._sender.meter is not None and ours:
+            self._sender.meter.update(state.time_s, state.quaternion_wxyz)
         if judgement.yaw_jump_rad or self._plan is not plan:
             reference = self._sample(state.time_s)
         self.position_error_enu = reference.position_enu - state.position_enu

@@ -249,7 +249,11 @@ class FlightFromAir(Flight):
         stop = run_out(engagement.start, limits)
         rest = stop.sample(stop.duration_s)
         origin = rest.position_enu.copy()
-        if request.frame is not Frame.LOCAL:
+        if self._live is not None:
+            origin[2] = ground_m
+            self._ground_left = at_rest(origin, rest.yaw_rad)
+            self._live.stand_above(self._ground_left, float(rest.position_enu[2]) - ground_m)
+        elif request.frame is not Frame.LOCAL:
             origin[2] -= float(request.trajectory.sample(0.0).position_enu[2])
         trajectory = place(request.trajectory, request.frame, origin, rest.yaw_rad)
         plan = lay_out_in_air(stop, trajectory, request.duration_s, self._settings.procedure.hold_s, limits)

@@ -18,15 +18,16 @@ from typing import Any, TypeVar
 import numpy as np
 
 from companion.autopilot.adapter import Finding, Intent, Verdict
+from companion.autopilot.attitude_response import AttitudeResponseMeter
 from companion.autopilot.hover_thrust import HoverThrustEstimator
 from companion.autopilot.thrust import ThrustScale, mixer_of
-from companion.config.provenance import Known, as_text
+from companion.config.provenance import Known, as_text, is_given
 from companion.config.settings import Settings
 from companion.control.law import ControlLaw
 from companion.control.laws import AUTOPILOT, LAWS
 from companion.control.prediction import Predictor
 from companion.control.registry import build_law
-from companion.control.structs import Vector
+from companion.control.structs import ControlLevel, Vector
 from companion.flight import realtime
 from companion.flight.control_loop import ControlLoop
 from companion.flight.engagement import FlightFromAir
@@ -42,14 +43,14 @@ from companion.flight.setpoint_gate import SetpointGate
 from companion.flight.stage import FlightRequest, FlightResult, Interrupts
 from companion.flight.standby import ENGAGE_PORT, Standby, StandbyFlight, Wishes
 from companion.flight.vehicle import Vehicle
-from companion.flightlog.law_channels import LAW_TEXT
+from companion.flightlog.law_channels import LATER_SETTINGS, LAW_TEXT
 from companion.flightlog.writer import FlightLog
+from companion.live.trajectory import PREFIX, LiveTrajectory, trajectory_or_live
 from companion.mavlink.bandwidth import LinePlan, describe, plan_line
 from companion.mavlink.connection import Connection
 from companion.mavlink.link import mav
 from companion.mavlink.outside_poses import DEFAULT_RATE_HZ, OutsidePoses
 from companion.reference.feasibility import VehicleLimits, check_feasibility
-from companion.reference.registry import trajectory_from_text
 from companion.reference.trajectory import Frame, Trajectory
 
 _PACKAGES = ("dtlannc-companion", "numpy", "numba", "pymavlink", "mcap")
@@ -127,7 +128,7 @@ def _connected(
 ) -> FlightResult:
     """`run` over a connection of its own, with a log, all that compiles compiled: `controllers` are built."""
     settings, plan = _fitted(settings, options.connection, reporter)
-    trajectory = trajectory_from_text(settings.flight.trajectory)
+    trajectory = trajectory_or_live(settings.flight.trajectory)
     for name in controllers:
         _law(settings, name, None).warm_up()  # seconds, so before anybody is listening to us
     Predictor(settings.profile, settings.level)
@@ -152,6 +153,9 @@ def _fly(
     controllers: tuple[str, ...],
 ) -> FlightResult:
     poses = OutsidePoses(options.outside_poses, options.pose_rate_hz) if options.outside_poses else None
+    live = trajectory if isinstance(trajectory, LiveTrajectory) else None
+    if live is not None:
+        live.open()
     link = options.connection.open(reporter.say)
     try:
         with FlightLog(
@@ -171,7 +175,7 @@ def _fly(
             request = FlightRequest(
                 level=settings.level,
                 trajectory=trajectory,
-                frame=Frame(settings.flight.layout),
+                frame=Frame.LOCAL if live is not None and live.is_mavlink else Frame(settings.flight.layout),
                 duration_s=settings.flight.duration_s,
                 may_arm=options.may_arm,
                 fix=options.fix,
@@ -187,13 +191,19 @@ def _fly(
             def make_loop(heard: Vehicle) -> ControlLoop:
                 tables = json.dumps(known.settings.as_tables(), indent=1, sort_keys=True)
                 if told != [tables]:
+                    name = (
+                        f"{LATER_SETTINGS}{heard.link.autopilot_time_s:.6f}.json" if told else "settings.json"
+                    )
                     told[:] = [tables]
-                    log.attach("settings.json", tables)
+                    log.attach(name, tables)
                     log.metadata("vehicle", {row.key: as_text(row) for row in known.provenance()})
                 return _control_loop(known.settings, heard, recorder, reporter, controllers)
 
             def check_plan(plan: FlightPlan, ground_m: float) -> None:
                 _check_plan(known.settings, plan, ground_m)
+
+            def use_measured(loop: ControlLoop, time_s: float) -> None:
+                _use_measured(known, loop, log, reporter, time_s)
 
             preflight = _preflight(known, vehicle, reporter, plan)
             with _signals(Interrupts()) as interrupts:
@@ -209,6 +219,7 @@ def _fly(
                         interrupts,
                         make_loop,
                         check_plan,
+                        use_measured,
                     )
 
                 result = run(vehicle, make, interrupts)
@@ -219,6 +230,8 @@ def _fly(
         link.close()
         if poses is not None:
             poses.close()
+        if live is not None:
+            live.close()
 
 
 def check(
@@ -341,7 +354,48 @@ def _control_loop(
     estimator = HoverThrustEstimator(
         hover, response.thrust_dead_time(settings.level), profile.rotors.lag_rad_s
     )
-    return ControlLoop(vehicle, law, predictor, thrust, estimator, settings.flight, recorder, gate, laws)
+    loop = ControlLoop(vehicle, law, predictor, thrust, estimator, settings.flight, recorder, gate, laws)
+    given = settings.given
+    looked = given is None or is_given(given, f"responses.{adapter.profile_key}")  # its author has
+    if settings.level is ControlLevel.ATTITUDE and not looked:
+        loop.measure(AttitudeResponseMeter(response.dead_time_s, response.tilt))
+    return loop
+
+
+def _use_measured(
+    known: KnownVehicle, loop: ControlLoop, log: FlightLog, reporter: Reporter, time_s: float
+) -> None:
+    """Fly on by the response that was measured, where it is known well enough and is another one; said and logged."""
+    measured = loop.measured()
+    if measured is None or not measured.sure:
+        return
+    before = known.profile.response(known.autopilot)
+    if before.dead_time_s == measured.dead_time_s and before.tilt == measured.tilt:
+        return
+    if not known.measured(measured):
+        return
+    settings = known.settings
+    assert known.autopilot is not None
+    from_s = loop.controlled_until_s
+    loop.laws = {name: _law(settings, name, known.autopilot) for name in loop.laws}
+    loop.change_law(loop.laws[loop.law.name], settings.profile, known.autopilot)
+    log.attach(
+        f"{LATER_SETTINGS}{from_s:.6f}.json", json.dumps(settings.as_tables(), indent=1, sort_keys=True)
+    )
+    log.metadata("vehicle", {row.key: as_text(row) for row in known.provenance()})
+    total_s = measured.dead_time_s + measured.tilt.lag_s
+    log.event(
+        "response",
+        time_s,
+        dead_time_s=measured.dead_time_s,
+        natural_frequency_rad_s=measured.tilt.natural_frequency_rad_s,
+        damping=measured.tilt.damping,
+        deviation=measured.deviation,
+    )
+    reporter.say(
+        f"measured: attitude answers within {total_s:.2f} s ± {100 * measured.deviation:.0f} %, "
+        f"{measured.dead_time_s:.2f} of it dead time; until now {before.dead_time_s + before.tilt.lag_s:.2f} s"
+    )
 
 
 def _law(settings: Settings, name: str, autopilot: str | None) -> ControlLaw:
@@ -366,7 +420,10 @@ def _check_plan(settings: Settings, plan: FlightPlan, ground_m: float) -> None:
         height_min_m=ground_m + 0.1,
         height_max_m=ground_m + settings.flight.safety.fence.height_max_m,
     )
-    check_feasibility(leg.trajectory, limits, leg.moves_s).require(settings.flight.trajectory)
+    live = settings.flight.trajectory.startswith(PREFIX)  # it stands still so far
+    check_feasibility(leg.trajectory, limits, 1.0 if live else leg.moves_s).require(
+        settings.flight.trajectory
+    )
 
 
 @contextmanager

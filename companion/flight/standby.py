@@ -187,7 +187,7 @@ class StandbyFlight(FlightFromAir):
             self.wishes.answer("refused: our mode is on already; leave it first")
         else:
             if wish:
-                loop.change_law(wish)
+                loop.fly_by(wish)
             self.wishes.answer(f"engaging with {loop.law.name}")
             self._asked_s, self._asks_until_s = now_s, now_s + ASKS_FOR_S
 
@@ -197,7 +197,7 @@ class StandbyFlight(FlightFromAir):
             if wish not in self._loop.laws:
                 self.wishes.answer(f"refused: engaged already, with {self._loop.law.name}")
             else:
-                self._loop.change_law(wish)
+                self._loop.fly_by(wish)
                 self.wishes.answer(f"flying on with {wish}")
                 self._reporter.say(f"flying on with {wish}")
 

@@ -145,6 +145,17 @@ STATE = ChannelSpec(
 )
 """The state the control law was given (after extrapolation by the delay)."""
 
+LIVE_SAMPLED = ChannelSpec(
+    "/live/sampled",
+    (
+        FieldSpec(
+            "own_time_s", 1, "s", "since the beginning of tracking, at which a reference was asked for"
+        ),
+        FieldSpec("checksum", 1, "1", "CRC-32 of the reference it gave, in the trajectory's own axes"),
+    ),
+)
+"""References from another program as they were made of what came in (/live/in): a replay makes them again."""
+
 REFERENCE = ChannelSpec(
     "/reference",
     (
