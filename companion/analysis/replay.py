@@ -7,6 +7,7 @@ memory, bit for bit. Where it does not, the code, numba or the processor's arith
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import tempfile
@@ -18,7 +19,7 @@ import numpy as np
 from companion.config.errors import UserError
 from companion.config.settings import Settings, settings_from_tables
 from companion.control.law import ControlLaw, StepRefused
-from companion.control.laws import LAWS, load_law_file
+from companion.control.laws import AUTOPILOT, LAWS, load_law_file
 from companion.control.packing import INPUT, TERMS, Memory, memory_dtype
 from companion.control.registry import build_law
 from companion.flightlog.channels import packed_channel
@@ -63,7 +64,7 @@ LawFrom = tuple[float, ControlLaw]
 def laws_of(
     record: FlightRecord, law_file: Path | None = None, run_law_in_log: bool = False
 ) -> list[LawFrom]:
-    """Build the control law a flight was flown with, and with the gains that it went on with, in the order of time.
+    """Build the laws a flight was flown with, each with the gains in force, in the order of time.
 
     A law of somebody's own is a program: it is taken from `law_file`, and from the log only where `run_law_in_log` says so.
     Raises UserError where the log does not hold its settings, or such a law is not given.
@@ -71,26 +72,39 @@ def laws_of(
     text = record.attachments.get("settings.json")
     if text is None:
         raise UserError(f"{record.path}: no settings.json in this log, so its steps cannot be repeated")
-    laws = [(-math.inf, _law_of(record, text, law_file, run_law_in_log))]
+    settings = [(-math.inf, _settings(record, text))]
     for name, later in record.attachments.items():
         if name.startswith(LATER_SETTINGS):
             from_s = float(name.removeprefix(LATER_SETTINGS).removesuffix(".json"))
-            laws.append((from_s, _law_of(record, later, law_file, run_law_in_log)))
-    return sorted(laws, key=lambda item: item[0])
-
-
-def _law_of(record: FlightRecord, text: bytes, law_file: Path | None, run_law_in_log: bool) -> ControlLaw:
-    try:
-        settings: Settings = settings_from_tables(json.loads(text))
-    except (ValueError, KeyError, TypeError) as error:
-        raise UserError(f"{record.path}: the settings in this log cannot be read: {error}") from error
-    _know_law(record, settings.flight.controller, law_file, run_law_in_log)
+            settings.append((from_s, _settings(record, later)))
+    settings.sort(key=lambda item: item[0])
+    names = [(-math.inf, settings[0][1].flight.controller)]
+    names += [(event.time_s, str(event.fields["controller"])) for event in record.events_of("law")]
+    for name in dict.fromkeys(name for _, name in names):
+        if name != AUTOPILOT:
+            _know_law(record, name, law_file, run_law_in_log)
     firmware = record.flight.get("firmware", "").lower()
     autopilot = next((key for start, key in AUTOPILOTS.items() if firmware.startswith(start)), None)
-    flight = settings.flight
-    return build_law(
-        flight.controller, settings.gains, settings.profile, settings.level, flight.seed, autopilot=autopilot
-    )
+
+    @functools.cache
+    def built(name: str, number: int) -> ControlLaw:
+        held = settings[number][1]
+        gains, seed = held.gains_of(name), held.flight.seed
+        return build_law(name, gains, held.profile, held.level, seed, autopilot=autopilot)
+
+    laws = []
+    for moment_s in sorted({from_s for from_s, _ in (*settings, *names)}):
+        name = [each for from_s, each in names if from_s <= moment_s][-1]
+        number = sum(from_s <= moment_s for from_s, _ in settings) - 1
+        laws.append((moment_s, built(name, number)))
+    return laws
+
+
+def _settings(record: FlightRecord, text: bytes) -> Settings:
+    try:
+        return settings_from_tables(json.loads(text))
+    except (ValueError, KeyError, TypeError) as error:
+        raise UserError(f"{record.path}: the settings in this log cannot be read: {error}") from error
 
 
 def _know_law(record: FlightRecord, name: str, law_file: Path | None, run_law_in_log: bool) -> None:
@@ -122,6 +136,10 @@ def replay(
     if law is None:
         law = laws_of(record)
     laws = law if isinstance(law, list) else [(-math.inf, law)]
+    if record.channel(INPUT_TOPIC) is None and laws[-1][1].name == AUTOPILOT:
+        raise UserError(
+            f"{record.path}: flown by the autopilot's own controller: there are no steps of ours to repeat"
+        )
     memory_type = memory_dtype(laws[0][1].hidden)
     inputs = _table(record, INPUT_TOPIC, INPUT)
     memories = _table(record, MEMORY_TOPIC, memory_type)
