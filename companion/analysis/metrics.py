@@ -13,12 +13,23 @@ from companion.analysis.published import PUBLISHED_RMS
 from companion.analysis.streams import stream_delays
 from companion.analysis.tracking import Tracking, tracking_errors
 from companion.config.safety import Reaction
+from companion.control.laws import AUTOPILOT
 from companion.flightlog.reactions import in_words, reaction_times
 from companion.flightlog.reader import FlightRecord
 
 STATISTICS = ("rms", "max", "p95")
 Triple = tuple[float, ...]
 REACTED = "not flown as asked throughout"
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """What one law reached while it was its turn."""
+
+    controller: str
+    window_s: tuple[float, float]  # of tracking
+    position_rms_m: Triple  # by the source that the flight is judged by
+    attitude_rms_deg: Triple  # NaN where no attitude was asked for
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +52,7 @@ class FlightMetrics:
     values: dict[str, dict[str, Triple]]
     notes: list[str]
     streams: dict[str, dict[str, float | None]]  # by message: see `stream_delays`
+    parts: tuple[Part, ...] = ()  # of a flight in which laws took turns while tracking
 
     def get(self, statistic: str, error: str) -> Triple | None:
         """Return one triple, or None where the log does not give it."""
@@ -62,6 +74,15 @@ class FlightMetrics:
                 out[name].setdefault(error, None)
         return out | {
             "window_s": None if self.window_s is None else list(self.window_s),
+            "parts": [
+                {
+                    "controller": part.controller,
+                    "window_s": list(part.window_s),
+                    "position_rms_m": _plain(part.position_rms_m),
+                    "attitude_rms_deg": _plain(part.attitude_rms_deg),
+                }
+                for part in self.parts
+            ],
             "controller": self.controller,
             "level": self.level,
             "firmware": self.firmware,
@@ -129,8 +150,34 @@ def flight_metrics(
         values=values,
         notes=notes,
         streams=stream_delays(record),
+        parts=_parts(record, tracking, best),
     )
     return metrics, tracking
+
+
+def _parts(record: FlightRecord, tracking: Tracking | None, source: str) -> tuple[Part, ...]:
+    """Each law's turn within the window that is looked at; none where one law flew it all."""
+    if tracking is None or source not in tracking.series:
+        return ()
+    from_s, to_s = tracking.window_s
+    changes = [
+        (event.time_s - tracking.start_s, str(event.fields["controller"]))
+        for event in record.events_of("law")
+    ]
+    before = [change for change in changes if change[0] <= from_s]
+    turns = [*before[-1:], *(change for change in changes if from_s < change[0] < to_s)]
+    if len(turns) < 2:
+        return ()
+    series, found = tracking.series[source], []
+    for (begins_s, name), (ends_s, _) in zip(turns, [*turns[1:], (to_s, "")], strict=True):
+        begins_s = max(from_s, begins_s)
+        rows = (series.tracking_time_s >= begins_s) & (series.tracking_time_s < ends_s)
+        none = (math.nan,) * 3
+        position = _statistics(series.position_m[rows]).get("rms", none)
+        asked = _statistics(np.degrees(series.attitude_rad[rows])).get("rms", none)
+        attitude = none if name == AUTOPILOT else asked
+        found.append(Part(name, (begins_s, ends_s), position, attitude))
+    return tuple(found)
 
 
 def how_it_ended(record: FlightRecord) -> str:

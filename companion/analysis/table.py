@@ -42,7 +42,24 @@ def flight_table(metrics: FlightMetrics) -> Group:
     lines = [Text(f"ended: {metrics.ended}", style="green" if metrics.ended == "completed" else "yellow")]
     lines += [_stream_line(name, numbers) for name, numbers in metrics.streams.items()]
     lines += [Text(f"note: {note}", style="yellow") for note in metrics.notes]
+    if metrics.parts:
+        return Group(table, parts_table(metrics), *lines)
     return Group(table, *lines) if metrics.samples else Group(*lines)
+
+
+def parts_table(metrics: FlightMetrics) -> Table:
+    """One row for each law's turn: RMS over it."""
+    title = f"laws in turn, RMS in m and ° ({metrics.judged_by})"
+    table = Table(title=title, title_justify="left", title_style="bold")
+    table.add_column("law", no_wrap=True)
+    table.add_column("tracking", justify="right", no_wrap=True)
+    for label in (*AXES["position"], *AXES["attitude"]):
+        table.add_column(label, justify="right", no_wrap=True)
+    for part in metrics.parts:
+        numbers = (*(f"{value:.4f}" for value in part.position_rms_m),)
+        angles = ("–" if value != value else f"{value:.3f}" for value in part.attitude_rms_deg)
+        table.add_row(part.controller, "{:.1f}–{:.1f} s".format(*part.window_s), *numbers, *angles)
+    return table
 
 
 def _stream_line(name: str, numbers: dict[str, float | None]) -> Text:

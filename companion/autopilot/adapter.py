@@ -13,8 +13,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from companion.config.provenance import Known
-from companion.control.structs import ControlLevel, Setpoint, Vector
-from companion.mavlink.frames import frd_from_flu, quaternion_ned_frd_from_enu_flu
+from companion.control.structs import ControlLevel, Reference, Setpoint, Vector
+from companion.mavlink.frames import (
+    frd_from_flu,
+    ned_from_enu,
+    quaternion_ned_frd_from_enu_flu,
+    yaw_ned_from_enu,
+)
 from companion.mavlink.link import Message, mav
 from companion.mavlink.protocol import Command
 
@@ -224,6 +229,11 @@ class Adapter(ABC):
         """Whether there is a mode for `intent`."""
         return True
 
+    @property
+    def takes_positions(self) -> bool:
+        """Whether its own controller follows a position (`encode_reference`)."""
+        return True
+
     @abstractmethod
     def mode_name(self, custom_mode: int) -> str:
         """A custom_mode of HEARTBEAT as the autopilot's users call it."""
@@ -294,6 +304,27 @@ class Adapter(ABC):
             setpoint.quaternion_wxyz,
             setpoint.body_rate_flu,
             thrust,
+        )
+
+    def encode_reference(self, reference: Reference, time_s: float, target_system: int) -> Message:
+        """SET_POSITION_TARGET_LOCAL_NED of a reference, for the autopilot's own controller; both take it alike.
+
+        Args:
+            reference: position, velocity, acceleration and yaw count (ENU).
+            time_s: the autopilot's time since boot it is for.
+            target_system: the autopilot's system id.
+        """
+        return mav.MAVLink_set_position_target_local_ned_message(
+            round(time_s * 1e3) & 0xFFFFFFFF,
+            target_system,
+            mav.MAV_COMP_ID_AUTOPILOT1,
+            mav.MAV_FRAME_LOCAL_NED,
+            mav.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE,
+            *ned_from_enu(reference.position_enu).tolist(),
+            *ned_from_enu(reference.velocity_enu).tolist(),
+            *ned_from_enu(reference.acceleration_enu).tolist(),
+            math.remainder(yaw_ned_from_enu(reference.yaw_rad), math.tau),
+            0.0,
         )
 
     def encode_actuators(self, time_s: float, controls: Vector, target_system: int) -> Message:

@@ -65,6 +65,11 @@ class ArduPilot(Adapter):
         """See `Adapter.has_mode`."""
         return intent in self.modes
 
+    @property
+    def takes_positions(self) -> bool:
+        """See `Adapter.takes_positions`: GUIDED_NOGPS takes attitudes only."""
+        return self.modes is not _MODES_NO_GPS
+
     def mode_name(self, custom_mode: int) -> str:
         """See `Adapter.mode_name`."""
         return _NAMES.get(custom_mode, f"mode {custom_mode}")

@@ -6,16 +6,17 @@ import argparse
 import datetime
 import itertools
 import json
+import math
 import os
 import shlex
 import sys
-from collections.abc import Callable
-from contextlib import nullcontext, suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from companion.config.errors import UserError
-from companion.control.laws import LAWS, load_law_file
+from companion.control.laws import AUTOPILOT, LAWS, law_entry, load_law_file
 
 if TYPE_CHECKING:
     from companion.mavlink.connection import Connection
@@ -47,11 +48,24 @@ def add_parser(subparsers: Any) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_flight_options(parser)
+    add_log_options(parser)
+    parser.add_argument(
+        "--schedule",
+        default="",
+        metavar="LAW:S,…",
+        help="laws that take turns while tracking, so many seconds each; in place of --controller and --duration",
+    )
+    parser.add_argument("--report", nargs="?", const="", metavar="FILE", help="also write an HTML report")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
+def add_log_options(parser: argparse.ArgumentParser) -> None:
+    """Options of what is flown by one law into one log; `fly` and `standby` share them."""
     parser.add_argument(
         "--controller",
         default="dtlannc",
         metavar="NAME|FILE.py",
-        help=f"control law: {', '.join(LAWS)}, or the file of your own",
+        help=f"control law: {', '.join(LAWS)}, {AUTOPILOT} (its own controller), or the file of your own",
     )
     parser.add_argument(
         "--seed", type=int, default=1, metavar="N", help="draws the networks, and the stub's noise"
@@ -60,8 +74,6 @@ def add_parser(subparsers: Any) -> None:
         "--log", metavar="FILE", help="MCAP file (default: flights/TIME-CONTROLLER-LEVEL.mcap)"
     )
     parser.add_argument("--overwrite", action="store_true", help="replace an existing log file")
-    parser.add_argument("--report", nargs="?", const="", metavar="FILE", help="also write an HTML report")
-    parser.add_argument("--json", action="store_true", help="print the result as JSON")
 
 
 def add_flight_options(parser: argparse.ArgumentParser, required: bool = True) -> None:
@@ -129,11 +141,27 @@ def add_flight_options(parser: argparse.ArgumentParser, required: bool = True) -
         choices=("hold", "land", "return"),
         help="what the autopilot does once the plan is flown (default: hold with --from-air, else land)",
     )
+    parser.set_defaults(engage_port=None, schedule="")  # a port is what stands by
     parser.add_argument("--arm", action="store_true", help="let the companion arm a real vehicle")
     parser.add_argument("--wait-for-offboard", action="store_true", help="leave the mode switch to the pilot")
     parser.add_argument(
         "--fix", action="store_true", help="set parameters that stand in the way, put them back on landing"
     )
+
+
+def schedule_from(text: str) -> tuple[tuple[str, float], ...]:
+    """Laws and seconds of `tlmbc:20,dtlannc:20`. Raises UserError for anything else."""
+    parts = []
+    for part in text.split(","):
+        name, _, seconds = part.strip().partition(":")
+        try:
+            lasts_s = float(seconds)
+        except ValueError:
+            lasts_s = math.nan
+        if not name or not 1.0 <= lasts_s <= 3600.0:
+            raise UserError(f"--schedule {part!r}: give LAW:SECONDS, for example tlmbc:20,dtlannc:20")
+        parts.append((name, lasts_s))
+    return tuple(parts)
 
 
 def add_link_options(parser: argparse.ArgumentParser) -> None:
@@ -201,21 +229,28 @@ def run(arguments: argparse.Namespace) -> int:
     """Fly once. Raises UserError for wrong input."""
     log_path, claimed = log_path_of(arguments, arguments.log)
     report = _report_path(arguments.report, log_path)
-    try:
+    with unless_empty(log_path, claimed):
         if report is not None:
             prepare_report(report)
         outcome, text, code = fly_once(
             arguments, arguments.controller, arguments.seed, log_path, arguments.overwrite or claimed
         )
-    finally:
-        with suppress(OSError):
-            if claimed and not log_path.stat().st_size:  # nothing was flown
-                log_path.unlink()
     try:
         _show(log_path, report, arguments.json, outcome, text)
     except (Exception, KeyboardInterrupt) as error:  # the flight is over: its exit code stands
         print(f"no table: {error!r}\nlog: {log_path}", file=sys.stderr)
     return code
+
+
+@contextmanager
+def unless_empty(log_path: Path, claimed: bool) -> Iterator[None]:
+    """A log file that was made for a flight which never began is gone afterwards."""
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            if claimed and not log_path.stat().st_size:
+                log_path.unlink()
 
 
 def log_path_of(arguments: argparse.Namespace, given: str | None) -> tuple[Path, bool]:
@@ -276,14 +311,20 @@ def told_report(write: Callable[[], None]) -> bool:
 def fly_once(
     arguments: argparse.Namespace, controller: str, seed: int, log_path: Path, overwrite: bool
 ) -> tuple[str, str, int]:
-    """One flight with the shared options; returns outcome, text and exit code."""
+    """One flight with the shared options, or where they say so standing by for many; outcome, text and exit code."""
     from companion.autopilot.adapter import Intent
     from companion.cli.console import ConsoleReporter
     from companion.cli.sitl import FIRMWARES, STUB_PATIENCE, airborne, running_stub
     from companion.config.settings import load_settings
-    from companion.flight.session import SessionOptions, fly
+    from companion.flight.session import SessionOptions, fly, stand_by
+    from companion.live.trajectory import PREFIX
 
     law_text = ""
+    schedule = schedule_from(arguments.schedule) if arguments.schedule else ()
+    if schedule:
+        controller = schedule[0][0]
+        for name, _ in schedule:
+            law_entry(name)  # a wrong one is told before anything is started
     if controller.endswith(".py"):
         law_file = Path(controller)
         controller = load_law_file(law_file)
@@ -296,10 +337,14 @@ def fly_once(
             "trajectory": arguments.trajectory,
             "layout": arguments.frame,
             "seed": seed,
-            "duration_s": tracking_time(arguments),
+            "duration_s": sum(lasts_s for _, lasts_s in schedule) or tracking_time(arguments),
         },
         ([STUB_PATIENCE] if arguments.sitl else []) + arguments.overrides,
     )
+    for name in dict.fromkeys(name for name, _ in schedule):
+        settings.gains_of(name)
+    if arguments.trajectory.startswith(PREFIX) and (schedule or arguments.engage_port is not None):
+        raise UserError("live references are flown by `companion fly`, without --schedule")
     if arguments.from_air and arguments.fix:
         raise UserError("--fix sets parameters on the ground: run `companion check --fix` before the flight")
     if arguments.sitl and arguments.sitl not in FIRMWARES:
@@ -326,10 +371,12 @@ def fly_once(
             command_line=shlex.join(sys.argv),
             outside_poses=pose_address(arguments.outside_poses),
             pose_rate_hz=_pose_rate(arguments.pose_rate),
+            schedule=schedule,
             law_text=law_text,
+            engage_port=arguments.engage_port or 0,
         )
         try:
-            result = fly(settings, options, reporter)
+            result = (fly if arguments.engage_port is None else stand_by)(settings, options, reporter)
             reporter.say(f"{result.outcome.value}: {result.text}")
         finally:
             reporter.close()

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 COMMANDS = (
     "fly",
+    "standby",
+    "engage",
     "serve",
     "check",
     "analyze",

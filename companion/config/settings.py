@@ -22,7 +22,7 @@ DEFAULT_RATE_HZ: dict[LevelName, float] = {"attitude": 100.0, "body_rate": 250.0
 """Control rates whose periods are whole milliseconds, as ArduPilot wants them, and multiples of PX4's 4 ms (simulated)."""
 
 
-GAINS_OF: dict[str, str] = {}
+GAINS_OF: dict[str, str] = {"autopilot": "tlmbc"}
 """Laws of one's own (`companion.register_law`) → the law whose gains they take where a profile has none for them."""
 
 
@@ -83,6 +83,12 @@ class Settings:
     def level(self) -> ControlLevel:
         """Output level."""
         return ControlLevel(self.flight.level)
+
+    def gains_of(self, controller: str) -> ControllerGains:
+        """The gains of any law at this level; those of the flight's own with what `--set gains.` changed."""
+        if controller == self.flight.controller:
+            return self.gains
+        return select_gains(self.profile, controller, self.flight.level)
 
     def as_tables(self) -> dict[str, Any]:
         """Everything as plain tables, for the log; `settings_from_tables` reads it back."""

@@ -49,6 +49,10 @@ LAWS: dict[str, LawEntry] = {
     "nnsmc": LawEntry("companion.control.nnsmc:step", "adaptive-network sliding mode", True, False, True),
 }
 BUILT_IN = frozenset(LAWS)
+AUTOPILOT = "autopilot"
+"""No law of ours: the autopilot's own controller follows the reference (position, velocity, acceleration, yaw)."""
+STANDS_IN = "tlmbc"
+"""The law whose numbers are looked at where the autopilot's own controller flies: level flight, bounds."""
 
 
 def register_law(
@@ -90,6 +94,8 @@ def register_law(
 
 def law_entry(name: str) -> LawEntry:
     """The law of that name, an installed package's too. Raises UserError naming those there are."""
+    if name == AUTOPILOT:
+        return LAWS[STANDS_IN]
     if name not in LAWS:
         for point in importlib.metadata.entry_points(group=ENTRY_POINTS):
             point.load()

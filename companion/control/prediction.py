@@ -178,6 +178,13 @@ class Predictor:
         """What the link takes beyond what is within the dead time, from a state's stamp to its setpoint's arrival, s."""
         self._warm_up()
 
+    def respond(self, profile: VehicleProfile, level: ControlLevel, autopilot: str | None) -> None:
+        """Go on with another response; setpoints under way act by it, too."""
+        self._model = pack_model(profile, level, autopilot)
+        later_s = profile.response(autopilot).dead_time(level) - self._dead_s
+        self._dead_s += later_s
+        self._ring[: self._count, TIME] += later_s
+
     @property
     def delay_s(self) -> float:
         """From a state's true age to the moment a setpoint sent now acts, s."""

@@ -11,17 +11,20 @@ import enum
 import math
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from companion.autopilot.attitude_response import AttitudeResponseMeter, MeasuredResponse
 from companion.autopilot.hover_thrust import HoverThrustEstimator
 from companion.autopilot.thrust import ThrustScale
+from companion.config.profile import VehicleProfile
 from companion.config.safety import Reaction
 from companion.config.settings import FlightSettings
 from companion.control.bounds import POSITION_SATURATES
 from companion.control.law import ControlLaw, StepRefused, pack_input
+from companion.control.laws import AUTOPILOT
 from companion.control.packing import Memory, Terms
 from companion.control.prediction import Predictor
 from companion.control.structs import AdaptationGate, ControlLevel, Reference, Vector, VehicleState
@@ -33,7 +36,7 @@ from companion.flight.realtime import LoopWatchdog
 from companion.flight.recorder import Recorder
 from companion.flight.setpoint_gate import SetpointGate
 from companion.flight.setpoint_sender import SetpointSender
-from companion.flight.supervisor import Judgement, Sight, Supervisor, tilt_of
+from companion.flight.supervisor import Judgement, Sight, Supervisor, law_bounds, tilt_of
 from companion.flight.vehicle import Vehicle
 from companion.mavlink.link import mav
 from companion.mavlink.stream_timing import StreamFigures
@@ -95,9 +98,12 @@ class ControlLoop:
         settings: FlightSettings,
         recorder: Recorder,
         gate: SetpointGate,
+        laws: Mapping[str, ControlLaw] | None = None,
     ) -> None:
+        """`law` flies first; `laws` are those that `fly_by` knows, by name (None: it alone)."""
         self._vehicle = vehicle
         self._law = law
+        self.laws: Mapping[str, ControlLaw] = laws or {law.name: law}
         self._predictor = predictor
         self._hover = hover
         self._sender = SetpointSender(vehicle, thrust, gate, hover, predictor, recorder)
@@ -151,6 +157,37 @@ class ControlLoop:
     def law(self) -> ControlLaw:
         """The law that flies."""
         return self._law
+
+    def fly_by(self, name: str) -> None:
+        """Let another of `laws` fly, in the air without a bump: it goes on from the setpoint that was sent last.
+
+        Raises KeyError for a name that is not among them.
+        """
+        before, self._law = self._law, self.laws[name]
+        self._memory = self._law.initial_memory()
+        state, sender = self._vehicle.state, self._sender
+        if self.activity is not Activity.FOLLOW or state is None:
+            return
+        if before.name == AUTOPILOT:
+            self._predictor.hovering(state.time_s, sender.asked_quaternion, sender.asked_thrust_newton)
+        ahead = self._predictor.predict(state)
+        reference = self._sample(ahead.time_s)
+        self._take_over(state.time_s, ahead, reference, sender.asked_thrust_newton, sender.asked_quaternion)
+        if self._watching is not None:
+            self._watching.supervisor.law_changed(law_bounds(self._law))
+
+    def _take_over(
+        self,
+        time_s: float,
+        state: VehicleState,
+        reference: Reference,
+        thrust_newton: float,
+        quaternion: Vector,
+    ) -> None:
+        """The law flies from the state after the one at `time_s` on."""
+        self._memory = self._law.take_over(self._memory, state, reference, thrust_newton, quaternion)
+        self._terms = None
+        self._recorder.log.event("law", time_s, controller=self._law.name)
 
     @property
     def controlled_until_s(self) -> float:
@@ -229,15 +266,43 @@ class ControlLoop:
         self._shift_enu, self._shift_yaw_rad = None, 0.0
         self._jump_enu = None
         self._sender.thrust = replace(self._sender.thrust, hover_thrust=self._hover.hover_thrust)
-        self._memory = self._law.take_over(
-            self._memory,
-            seen,
-            plan.sample(seen.time_s - state.time_s),
-            self._sender.thrust.newton(self._sender.thrust.hover_thrust),
-            self._level_quaternion,
-        )
+        scale = self._sender.thrust
+        reference = plan.sample(seen.time_s - state.time_s)
+        newton = scale.newton(scale.hover_thrust)
+        self._take_over(state.time_s, seen, reference, newton, self._level_quaternion)
         self._last_step_s = state.time_s - self.period_s
         self.activity = Activity.FOLLOW
+
+    def measure(self, meter: AttitudeResponseMeter) -> None:
+        """Let `meter` see setpoints and attitudes from now on."""
+        self._sender.meter = meter
+
+    def measured(self) -> MeasuredResponse | None:
+        """How the attitude loop has answered so far; None where that is not measured."""
+        return None if self._sender.meter is None else self._sender.meter.measured()
+
+    def change_law(self, law: ControlLaw, profile: VehicleProfile, autopilot: str) -> None:
+        """Go on in flight with gains and prediction for another response of the autopilot, without a step in what is sent.
+
+        Everything learnt so far stays: weights, and the force of the integral.
+        """
+        state = self._vehicle.state
+        assert state is not None and self.activity is Activity.FOLLOW
+        packed = self._memory.packed.copy()
+        before, now = self._law.parameters.position.K_i, law.parameters.position.K_i
+        for i in range(3):
+            if now[i] > 0.0:
+                packed[0]["position_integral"][i] *= before[i] / now[i]
+        self._law = law
+        self._predictor.respond(profile, law.level, autopilot)
+        ahead = self._predictor.predict(state)
+        self._memory = law.take_over(
+            Memory(packed),
+            ahead,
+            self._sample(ahead.time_s),
+            self._sender.asked_thrust_newton,
+            self._sender.asked_quaternion,
+        )
 
     @property
     def cannot_have_left(self) -> bool:
@@ -373,10 +438,18 @@ class ControlLoop:
             turned = judgement.yaw_jump_rad
             self._recorder.log.event("estimator_reset", state.time_s, jump_enu=moved, yaw_jump_rad=turned)
         self._react(judgement, state.time_s)
-        self._estimate_hover(state, trusted=judgement.gate is AdaptationGate.RUN)
+        ours = self._law.name != AUTOPILOT
+        self._estimate_hover(state, trusted=ours and judgement.gate is AdaptationGate.RUN)
+        if self._sender.meter is not None and ours:
+            self._sender.meter.update(state.time_s, state.quaternion_wxyz)
         if judgement.yaw_jump_rad or self._plan is not plan:
             reference = self._sample(state.time_s)
         self.position_error_enu = reference.position_enu - state.position_enu
+        tracking_s = tracking_time(self._plan, state.time_s - self._plan_started_s)
+        if not ours:
+            self._sender.send_reference(state, reference)
+            self._recorder.reference(state.time_s, reference, tracking_s)
+            return 0.0
         dt_s = min(state.time_s - self._last_step_s, LONGEST_STEP * self.period_s)
         law_ns = time.perf_counter_ns()
         ahead = self._predictor.predict(state)
@@ -393,9 +466,7 @@ class ControlLoop:
         rotor_thrust = result.terms.packed["rotor_thrust"][0] if actuators else None
         if self._sender.send(state.time_s, result.setpoint, rotor_thrust):
             self._memory, self._terms = result.memory, result.terms
-        self._recorder.reference(
-            state.time_s, reference, tracking_time(self._plan, state.time_s - self._plan_started_s)
-        )
+        self._recorder.reference(state.time_s, reference, tracking_s)
         self._recorder.step(state.time_s, memory, inputs, result)
         self._note_bounds(result.terms.flags)
         return law_s

@@ -229,15 +229,31 @@ class Descent:
         vehicle, stage = self._vehicle, self._stage
         timeout_s = self._settings.procedure.land_timeout_s
         try:
-            self._until(lambda: not vehicle.status.armed, timeout_s)
+            self._until(lambda: not vehicle.status.armed or self._landing_was_ended(), timeout_s)
         except WaitedTooLong:
             raise LeftFlying(
                 f"still armed {timeout_s:.0f} s after LAND; it is in "
                 f"{vehicle.adapter.mode_name(vehicle.status.custom_mode)} and flies without us"
             ) from None
+        if vehicle.status.armed:
+            mode = vehicle.adapter.mode_name(vehicle.status.custom_mode)
+            return f"the landing was ended by somebody who chose {mode}"
         how = self._how_it_came_down()
         stage.enter(Phase.DONE)
         return how
+
+    def _landing_was_ended(self) -> bool:
+        """Whether somebody has left LAND, which ends the wait where we stand by for the next engagement."""
+        vehicle = self._vehicle
+        return self._stage.stands_by and not vehicle.adapter.is_mode(vehicle.status.custom_mode, Intent.LAND)
+
+    def _somebody_chose_a_mode(self) -> bool:
+        """Whether the mode is neither ours nor the hold that we ask for where only sticks were moved."""
+        vehicle = self._vehicle
+        mode = vehicle.status.custom_mode
+        return not vehicle.is_ours and not (
+            self._stage.sticks_moved and vehicle.adapter.is_mode(mode, Intent.HOLD)
+        )
 
     def _how_it_came_down(self) -> str:
         """Just disarmed while landing: on the ground, unless it falls now, for who disarmed it was not us.
@@ -351,16 +367,23 @@ class Descent:
         if vehicle.is_ours and not vehicle.status.armed:
             vehicle.commands.send(vehicle.adapter.mode(Intent.HOLD))
         self._hold_or_land(lambda: self._note(end))
+        if stage.stands_by and self._somebody_chose_a_mode():
+            return FlightResult(end.outcome, str(end))
         stage.enter(Phase.WATCH)
         stage.reporter.say(f"{end.outcome.value}: {end}")
         stage.reporter.say("no more setpoints; logging until the vehicle is disarmed (Ctrl-C ends it)")
         try:
             if self._interrupted is None and self._again is None:
                 disarmed = vehicle.disarmed_for(_STAYS_DISARMED_S)
-                vehicle.until(lambda: disarmed() or bool(stage.nobody_has_it()))
+
+                def over() -> bool:
+                    chosen = stage.stands_by and self._somebody_chose_a_mode()
+                    return disarmed() or bool(stage.nobody_has_it()) or chosen
+
+                vehicle.until(over)
                 if nobody := stage.nobody_has_it():
                     return FlightResult(end.outcome, f"{end}; {nobody}; {self._land_for_nobody(nobody)}")
-                return FlightResult(end.outcome, f"{end}; disarmed later")
+                return FlightResult(end.outcome, f"{end}; disarmed later" if disarmed() else str(end))
         except (Interrupted, HandedBack, LinkLost):
             pass
         return FlightResult(end.outcome, f"{end}; not watched to the end")

@@ -48,7 +48,9 @@ class Engagement:
     Feed it every message (`take`) and, until it has engaged, every state (`on_state`, which feeds the loop, too).
     """
 
-    def __init__(self, vehicle: Vehicle, loop: ControlLoop, procedure: Procedure) -> None:
+    def __init__(
+        self, vehicle: Vehicle, loop: ControlLoop, procedure: Procedure, home_enu: Vector | None = None
+    ) -> None:
         self._vehicle = vehicle
         self._loop = loop
         self._procedure = procedure
@@ -57,7 +59,7 @@ class Engagement:
         self._state_s = self._thrust_s = -math.inf
         self.thrust = math.nan
         """Mean of the thrust that the autopilot has in use, normalised; nan: not told."""
-        self.home_enu: Vector | None = None
+        self.home_enu = home_enu
         """(3,) m, the place of take-off in the local frame; None: not told."""
 
     def take(self, message: Message) -> None:
@@ -190,10 +192,8 @@ class FlightFromAir(Flight):
 
     def _meet(self) -> Engagement:
         """Watch how the vehicle hovers, and learn where it took off."""
-        vehicle, loop = self._vehicle, self._loop
-        vehicle.link.wanted = HANDLED | {_RC_CHANNELS, _ATTITUDE_TARGET, _HOME_POSITION}
-        engagement = self._engagement = Engagement(vehicle, loop, self._settings.procedure)
-        vehicle.on_state = engagement.on_state
+        vehicle = self._vehicle
+        engagement = self._watch_hover()
         vehicle.commands.send(request_message(_HOME_POSITION))
         with suppress(WaitedTooLong):
             vehicle.until(lambda: engagement.home_enu is not None, HOME_WAIT_S)
@@ -208,6 +208,13 @@ class FlightFromAir(Flight):
             self._reporter.say(text)
             self._recorder.log.event("warning", vehicle.link.autopilot_time_s, text=text)
         self._stage.ground_m = float(engagement.home_enu[2])
+        return engagement
+
+    def _watch_hover(self, home_enu: Vector | None = None) -> Engagement:
+        vehicle = self._vehicle
+        vehicle.link.wanted = HANDLED | {_RC_CHANNELS, _ATTITUDE_TARGET, _HOME_POSITION}
+        engagement = Engagement(vehicle, self._loop, self._settings.procedure, home_enu)
+        self._engagement, vehicle.on_state = engagement, engagement.on_state
         return engagement
 
     def _begin(self) -> None:
@@ -242,7 +249,11 @@ class FlightFromAir(Flight):
         stop = run_out(engagement.start, limits)
         rest = stop.sample(stop.duration_s)
         origin = rest.position_enu.copy()
-        if request.frame is not Frame.LOCAL:
+        if self._live is not None:
+            origin[2] = ground_m
+            self._ground_left = at_rest(origin, rest.yaw_rad)
+            self._live.stand_above(self._ground_left, float(rest.position_enu[2]) - ground_m)
+        elif request.frame is not Frame.LOCAL:
             origin[2] -= float(request.trajectory.sample(0.0).position_enu[2])
         trajectory = place(request.trajectory, request.frame, origin, rest.yaw_rad)
         plan = lay_out_in_air(stop, trajectory, request.duration_s, self._settings.procedure.hold_s, limits)

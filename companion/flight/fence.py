@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -56,7 +57,9 @@ class PlanMargins:
 def plan_margins(fence: Fence, plan: FlightPlan, home_enu: Vector) -> PlanMargins:
     """Sample a plan and measure it against the fence about `home_enu` (3,)."""
     worst = PlanMargins(math.inf, math.inf, 0.0)
-    for time_s in np.arange(0.0, plan.duration_s + PLAN_STEP_S, PLAN_STEP_S):
+    for time_s in itertools.chain.from_iterable(
+        np.arange(leg.start_s, leg.start_s + leg.moves_s + PLAN_STEP_S, PLAN_STEP_S) for leg in plan.legs
+    ):
         east, north, up = (plan.sample(float(time_s)).position_enu - home_enu).tolist()
         horizontal, ceiling = horizontal_margin(fence, east, north), fence.height_max_m - up
         least = min(horizontal, ceiling)

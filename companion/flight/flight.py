@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 import traceback
 from collections.abc import Callable
@@ -13,7 +14,7 @@ import numpy as np
 from companion.autopilot.adapter import ARM, Finding, Intent
 from companion.config.errors import UserError
 from companion.config.settings import FlightSettings
-from companion.control.structs import Reference
+from companion.control.structs import Reference, Vector
 from companion.flight.control_loop import ControlLoop, Watching, at_rest, level_with_heading, yaw_of
 from companion.flight.descent import Descent
 from companion.flight.fence import require_inside
@@ -56,14 +57,19 @@ _STANDING = (
 )  # idle setpoints go out, which must never meet a flying vehicle
 MOST_RAISED_M = 1.0  # beyond that it is another flight than was asked for
 LOWEST_SAMPLES = 400
+NO_POSITIONS = "the autopilot's own controller follows no positions here: it has no position estimate (GPS)"
+MISTAKE = "mistake in this program"
 REAL_TIME_TOLERANCE = 0.02  # of the time passed: a lockstep simulation runs at any other speed
 
 
 class Flight:
-    """See the module. `make_loop` builds the control loop once the autopilot is known."""
+    """See the module. `make_loop` builds the control loop once the autopilot is known, `use_measured` changes its gains
+    for what the flight has shown by the time it is to track."""
 
     begins_in_air = False
     """Whether the vehicle flies already: parameters are left alone then."""
+    patience_s: float | None = None
+    """How long an autopilot is waited for, and until it is ready; None: as set."""
 
     def __init__(
         self,
@@ -76,6 +82,7 @@ class Flight:
         interrupts: Interrupts,
         make_loop: Callable[[Vehicle], ControlLoop],
         check_plan: Callable[[FlightPlan, float], None],
+        use_measured: Callable[[ControlLoop, float], None] = lambda _loop, _time_s: None,
     ) -> None:
         self._vehicle = vehicle
         self._request = request
@@ -86,6 +93,7 @@ class Flight:
         self._interrupts = interrupts
         self._make_loop = make_loop
         self._check_plan = check_plan
+        self._use_measured = use_measured
         self._loop: ControlLoop
         self._ground_left: Reference  # where it stood when it was armed
         self._stage = Stage(vehicle, recorder, reporter, then=request.then)
@@ -112,10 +120,7 @@ class Flight:
         """
         self._vehicle.watch = self._watch
         try:
-            self._stage.enter(Phase.CONNECT)
-            self._vehicle.connect(self._settings.procedure.connect_timeout_s, self._journal.waiting)
-            self._vehicle.on_message = self._on_message
-            self._prepare()
+            self._get_ready()
             self._take_off()
             self._follow_plan()
             result = self._descent.end(PlanFlown("the plan is flown"))
@@ -128,7 +133,7 @@ class Flight:
             raise
         except Exception as error:
             # A mistake of ours, or of somebody's law, must not leave a vehicle in the air; table, JSON and log stand.
-            result = self._descent.end(Aborted(f"mistake in this program: {error!r}"))
+            result = self._descent.end(Aborted(f"{MISTAKE}: {error!r}"))
             where = traceback.format_exc()
             self._recorder.log.event("mistake", self._vehicle.link.autopilot_time_s, text=where)
             self._reporter.say(where)
@@ -153,6 +158,13 @@ class Flight:
 
     # Before the flight --------------------------------------------------------------------------------
 
+    def _get_ready(self) -> None:
+        self._stage.enter(Phase.CONNECT)
+        timeout_s = self._settings.procedure.connect_timeout_s if self.patience_s is None else self.patience_s
+        self._vehicle.connect(timeout_s, self._journal.waiting)
+        self._vehicle.on_message = self._on_message
+        self._prepare()
+
     def _prepare(self) -> None:
         vehicle, reporter = self._vehicle, self._reporter
         reporter.say(f"{vehicle.firmware}, system {vehicle.link.target_system}")
@@ -161,6 +173,8 @@ class Flight:
         checks.ask_for_streams()
         findings = checks.parameter_findings()
         self._loop = self._stage.loop = self._make_loop(vehicle)
+        if any(name not in self._loop.laws for name, _ in self._request.schedule):
+            raise Refused(NO_POSITIONS)
         if checks.changes.pending() and not self.begins_in_air:
             self._require_standing()
             checks.changes.put_back()
@@ -176,7 +190,7 @@ class Flight:
         self._stage.enter(Phase.READY)
         vehicle.on_state = self._loop.on_state
         vehicle.on_lone_attitude = self._loop.on_lone_attitude
-        waited_s = checks.wait_until_ready()
+        waited_s = checks.wait_until_ready(self.patience_s)
         reporter.say(f"ready after {waited_s:.1f} s")
         self._clocks_s = (vehicle.link.autopilot_time_s, time.monotonic())
         self._report([*checks.link_findings(checks.measure()), *checks.vehicle_findings()])
@@ -198,14 +212,14 @@ class Flight:
         require_inside(settings.safety, self._stage.plan, ground.position_enu)
         level = level_with_heading(ground.yaw_rad)
         self._require_standing()
-        self._stage.enter(Phase.PROVE)
-        loop.idle(level)
-        started_s = vehicle.link.autopilot_time_s
-        vehicle.until(lambda: vehicle.link.autopilot_time_s - started_s >= settings.procedure.prove_s)
-        self._stage.enter(Phase.ENGAGE)
-        self._engage()
-        self._stage.enter(Phase.ARM)
-        self._arm()
+        if self._pilot_arms:
+            self._engage_armed(level)
+        else:
+            self._prove(level)
+            self._stage.enter(Phase.ENGAGE)
+            self._engage()
+            self._stage.enter(Phase.ARM)
+            self._arm()
         ground = self._ground()
         plan = self._lay_out(
             ground
@@ -367,15 +381,58 @@ class Flight:
             height_min_m=ground_m + 0.25,
         )
 
-    def _engage(self) -> None:
-        vehicle = self._vehicle
+    @property
+    def _pilot_arms(self) -> bool:
+        return not (self._request.may_arm or self._vehicle.simulated)
+
+    def _prove(self, level: Vector) -> None:
+        """Idle setpoints, for as long as the autopilot wants to have seen them, and until the arming gesture is over."""
+        vehicle, lasts_s = self._vehicle, self._settings.procedure.prove_s
+        self._stage.enter(Phase.PROVE)
+        self._loop.idle(level)
+        started_s = vehicle.link.autopilot_time_s
+
+        def proven() -> bool:
+            now_s = vehicle.link.autopilot_time_s
+            return now_s - started_s >= lasts_s and (not self._pilot_arms or self._pilot.lets_go(now_s))
+
+        vehicle.until(proven, self._settings.procedure.pilot_timeout_s, "sticks that are left alone")
+
+    def _engage_armed(self, level: Vector) -> None:
+        """The pilot arms first: neither autopilot takes the gesture of the sticks in our mode, and it moves the sticks.
+
+        An autopilot disarms by itself what stands armed for too long (COM_DISARM_PRFLT, DISARM_DELAY): then again.
+        """
+        vehicle, armed = self._vehicle, False
+        while not armed:
+            self._stage.enter(Phase.ARM)
+            self._loop.stop()
+            self._reporter.say("waiting for the pilot to arm (--arm lets the companion do it)")
+            timeout_s = self._settings.procedure.pilot_timeout_s
+            vehicle.until(lambda: vehicle.status.armed, timeout_s, "the pilot's arming")
+            self._prove(level)
+            self._stage.enter(Phase.ENGAGE)
+            armed = vehicle.status.armed and self._engage()
+            if not armed:
+                self._reporter.say("disarmed before our mode began")
+        self._armed_by_now = True
+
+    def _engage(self) -> bool:
+        """Our mode; False where the pilot arms, and the vehicle is disarmed before it begins."""
+        vehicle, pilot_arms = self._vehicle, self._pilot_arms and not self.begins_in_air
 
         def external() -> bool:
             return vehicle.is_ours
 
         if self._request.wait_for_offboard:
             self._reporter.say("waiting for the pilot to switch to offboard")
-            vehicle.until(external, self._settings.procedure.pilot_timeout_s, "the pilot's mode switch")
+            vehicle.until(
+                lambda: external() or (pilot_arms and not vehicle.status.armed),
+                self._settings.procedure.pilot_timeout_s,
+                "the pilot's mode switch",
+            )
+            if not external():
+                return False
         else:
             for _ in range(3):
                 result = vehicle.command(vehicle.adapter.mode(Intent.EXTERNAL), enough=external)
@@ -391,16 +448,11 @@ class Flight:
                 )
         self._stage.engaged = True
         self._pilot.sticks_are_at_rest()
+        return True
 
     def _arm(self) -> None:
+        """We arm, in our mode."""
         vehicle = self._vehicle
-        if not (self._request.may_arm or self._vehicle.simulated):
-            self._reporter.say("waiting for the pilot to arm (--arm lets the companion do it)")
-            vehicle.until(
-                lambda: vehicle.status.armed, self._settings.procedure.pilot_timeout_s, "the pilot's arming"
-            )
-            self._armed_by_now = True
-            return
         result: int | None = None
         for _ in range(10):
             if not vehicle.status.armed:
@@ -422,9 +474,12 @@ class Flight:
         loop, plan = self._loop, self._stage.plan
         for leg in plan.legs:
             self._stage.enter(leg.phase)
+            if leg.phase in (Phase.RUN_IN, Phase.TRACK):
+                self._use_measured(loop, self._vehicle.link.autopilot_time_s)
             tracking = leg.phase is Phase.TRACK
             if tracking:
                 self._recorder.log.event("tracking", self._vehicle.link.autopilot_time_s, active=True)
+                self._take_turns(leg.start_s)
             end_s = leg.start_s + leg.duration_s
             if tracking and self._live is not None:
                 self._follow_references(self._live, plan, leg)
@@ -436,6 +491,17 @@ class Flight:
                 self._stage.enter(Phase.HOLD)
                 self._reporter.say(f"holding: {loop.held}")
                 self._vehicle.until(lambda: False)  # until the supervisor, the pilot or the user ends it
+
+    def _take_turns(self, start_s: float) -> None:
+        """Let the laws of the schedule follow each other; returns when the last of them flies, or the plan is held."""
+        loop, at_s = self._loop, start_s
+        for (_, lasts_s), (name, _) in itertools.pairwise(self._request.schedule):
+            at_s += lasts_s
+            self._vehicle.until(lambda at_s=at_s: bool(loop.held) or loop.plan_time_s >= at_s)  # type: ignore[misc]
+            if loop.held:
+                return
+            loop.fly_by(name)
+            self._reporter.say(f"flying on with {name}")
 
     def _follow_references(self, live: LiveReferences, plan: FlightPlan, leg: Leg) -> None:
         """Track what another program asks for, until it ends or the time is over."""
@@ -477,7 +543,7 @@ class Flight:
             raise PilotTookOver("disarmed in flight" if self._stage.airborne else "disarmed")
         if moved := self._pilot.moved_sticks():
             self._handed_over_s = vehicle.link.autopilot_time_s
-            self._stage.nobody_has_it = self._nobody_has_it
+            self._stage.nobody_has_it, self._stage.sticks_moved = self._nobody_has_it, True
             raise PilotTookOver(f"sticks moved: {moved}")
         self._watch_transmitter()
         if self._watchdog.tripped:

@@ -41,9 +41,9 @@ class LiveReferences:
         live.on_heard = self._log_heard
         live.on_sampled = self._log_sampled
 
-    def stand_above(self, ground: Reference) -> None:
-        """Where to wait for the first point: above the place of take-off."""
-        up = np.array([0.0, 0.0, self._settings.takeoff_height_m])
+    def stand_above(self, ground: Reference, height_m: float | None = None) -> None:
+        """Where to wait for the first point: above the place of take-off, at its height or at `height_m`."""
+        up = np.array([0.0, 0.0, self._settings.takeoff_height_m if height_m is None else height_m])
         if self._frame is Frame.TAKEOFF:
             self._live.stand_at(up, 0.0)
         else:

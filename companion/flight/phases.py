@@ -14,6 +14,8 @@ class Phase(enum.Enum):
     """Asking for streams, reading parameters, judging them."""
     READY = "ready"
     """Waiting until the autopilot can be armed and the state flows."""
+    STANDBY = "standby"
+    """Waiting until somebody switches to our mode in the air; PX4 is sent what keeps the vehicle as it hovers."""
     PROVE = "prove setpoints"
     """Idle setpoints go out, so that the autopilot sees that we are there."""
     ENGAGE = "engage"

@@ -19,6 +19,9 @@ TWICE = 2  # messages in a row; one can be a glitch of the receiver
 THROTTLE_LOST_US = 975  # FS_THR_VALUE as ArduPilot ships; transmitters end at 988 or more
 LOST_S = 0.5  # a receiver that loses a few frames has not lost its transmitter
 PRESET_S = 1.0
+MIDDLE_US = 1500
+GESTURE_SHARE = 0.25  # of the full travel, to one side: less is a trim
+STILL_S = 0.5
 STILL_US = 2.0  # less is no movement of a thumb
 _THROTTLE = STICKS.index("throttle")
 
@@ -105,6 +108,11 @@ class Pilot:
             self._lost = self._lost or (self._jumped[0], f"sticks jumped to {sticks} µs and stand still")
             return True
         return False
+
+    def lets_go(self, time_s: float) -> bool:
+        """Whether no stick has moved for STILL_S, and yaw is not held to one side, as it is to arm; True without sticks."""
+        yaw_us = self._now[STICKS.index("yaw")] if self._now is not None else MIDDLE_US
+        return time_s - self.alive_s >= STILL_S and abs(yaw_us - MIDDLE_US) < GESTURE_SHARE * TRAVEL_US
 
     def sticks_are_at_rest(self) -> None:
         """From here on a movement counts; the sticks stand where the newest message has them, or the next."""

@@ -13,8 +13,10 @@ from dataclasses import dataclass
 from companion.control.structs import Reference
 from companion.flight.phases import Phase
 from companion.reference.hold import Hold
-from companion.reference.trajectory import Trajectory, resting
+from companion.reference.trajectory import Placed, Trajectory, resting
 from companion.reference.transit import TransitLimits, climb, run_in, run_out, transit
+
+STANDS_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +27,12 @@ class Leg:
     trajectory: Trajectory
     start_s: float  # since the plan began
     duration_s: float  # flown, which may be less than the trajectory's own
+
+    @property
+    def moves_s(self) -> float:
+        """For how long there is something to look at: a vehicle may stand at one point for hours."""
+        own = self.trajectory.trajectory if isinstance(self.trajectory, Placed) else self.trajectory
+        return min(self.duration_s, STANDS_S) if isinstance(own, Hold) else self.duration_s
 
 
 class FlightPlan:

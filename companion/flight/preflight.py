@@ -200,14 +200,16 @@ class Preflight:
             else []
         )
 
-    def wait_until_ready(self) -> float:
+    def wait_until_ready(self, timeout_s: float | None = None) -> float:
         """Wait until the autopilot can be armed and the state flows; return how long that took, its clock.
+
+        `timeout_s`: None: as set.
 
         Raises:
             Refused: it does not get ready; says what is missing, in the autopilot's words too.
         """
-        vehicle, timeout_s = self._vehicle, self._settings.procedure.ready_timeout_s
-        started_s = vehicle.link.autopilot_time_s
+        vehicle, started_s = self._vehicle, self._vehicle.link.autopilot_time_s
+        timeout_s = self._settings.procedure.ready_timeout_s if timeout_s is None else timeout_s
         told: list[str] = []
 
         def ready() -> bool:

@@ -13,22 +13,25 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
+from typing import Any, TypeVar
 
 import numpy as np
 
 from companion.autopilot.adapter import Finding, Intent, Verdict
+from companion.autopilot.attitude_response import AttitudeResponseMeter
 from companion.autopilot.hover_thrust import HoverThrustEstimator
 from companion.autopilot.thrust import ThrustScale, mixer_of
-from companion.config.provenance import Known, as_text
+from companion.config.provenance import Known, as_text, is_given
 from companion.config.settings import Settings
 from companion.control.law import ControlLaw
+from companion.control.laws import AUTOPILOT, LAWS
 from companion.control.prediction import Predictor
 from companion.control.registry import build_law
-from companion.control.structs import Vector
+from companion.control.structs import ControlLevel, Vector
 from companion.flight import realtime
 from companion.flight.control_loop import ControlLoop
 from companion.flight.engagement import FlightFromAir
-from companion.flight.flight import Flight
+from companion.flight.flight import NO_POSITIONS, Flight
 from companion.flight.known_vehicle import KnownVehicle
 from companion.flight.outcome import Refused
 from companion.flight.phases import Phase
@@ -38,8 +41,9 @@ from companion.flight.recorder import Recorder
 from companion.flight.reporter import Reporter
 from companion.flight.setpoint_gate import SetpointGate
 from companion.flight.stage import FlightRequest, FlightResult, Interrupts
+from companion.flight.standby import ENGAGE_PORT, Standby, StandbyFlight, Wishes
 from companion.flight.vehicle import Vehicle
-from companion.flightlog.law_channels import LAW_TEXT
+from companion.flightlog.law_channels import LATER_SETTINGS, LAW_TEXT
 from companion.flightlog.writer import FlightLog
 from companion.live.trajectory import PREFIX, LiveTrajectory, trajectory_or_live
 from companion.mavlink.bandwidth import LinePlan, describe, plan_line
@@ -50,6 +54,9 @@ from companion.reference.feasibility import VehicleLimits, check_feasibility
 from companion.reference.trajectory import Frame, Trajectory
 
 _PACKAGES = ("dtlannc-companion", "numpy", "numba", "pymavlink", "mcap")
+
+
+AnyFlight = TypeVar("AnyFlight", bound=Flight)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +75,15 @@ class SessionOptions:
     command_line: str = ""
     outside_poses: tuple[str, int] | None = None  # host, port to hear poses at that are forwarded as ODOMETRY
     pose_rate_hz: float = DEFAULT_RATE_HZ  # at most so many of them
+    schedule: tuple[
+        tuple[str, float], ...
+    ] = ()  # laws that take turns while tracking, s each; the first flies before
     law_text: str = ""  # of a law of one's own, for the log
+    engage_port: int = ENGAGE_PORT  # `stand_by` hears `companion engage` there
+
+
+MakeFlight = Callable[[type[AnyFlight]], AnyFlight]
+"""Makes a flight of one kind over the connection that is open."""
 
 
 def fly(settings: Settings, options: SessionOptions, reporter: Reporter) -> FlightResult:
@@ -77,9 +92,45 @@ def fly(settings: Settings, options: SessionOptions, reporter: Reporter) -> Flig
     Raises:
         UserError: the flight could not begin for a reason that the user can mend.
     """
+    kind = FlightFromAir if options.from_air else Flight
+
+    def once(_vehicle: Vehicle, make: MakeFlight[Flight], _interrupts: Interrupts) -> FlightResult:
+        return make(kind).run()
+
+    names = dict.fromkeys((settings.flight.controller, *(name for name, _ in options.schedule)))
+    return _connected(settings, options, reporter, once, tuple(names))
+
+
+def stand_by(settings: Settings, options: SessionOptions, reporter: Reporter) -> FlightResult:
+    """Engage each time somebody switches to our mode, until Ctrl-C; all of it in one log.
+
+    Raises:
+        UserError: it could not begin for a reason that the user can mend.
+    """
+    wishes = Wishes(options.engage_port)
+
+    def again(vehicle: Vehicle, make: MakeFlight[StandbyFlight], interrupts: Interrupts) -> FlightResult:
+        return Standby(vehicle, make, reporter, interrupts, wishes).run()
+
+    names = dict.fromkeys((settings.flight.controller, *LAWS, AUTOPILOT))
+    try:
+        return _connected(settings, options, reporter, again, tuple(names))
+    finally:
+        wishes.close()
+
+
+def _connected(
+    settings: Settings,
+    options: SessionOptions,
+    reporter: Reporter,
+    run: Callable[[Vehicle, Any, Interrupts], FlightResult],
+    controllers: tuple[str, ...],
+) -> FlightResult:
+    """`run` over a connection of its own, with a log, all that compiles compiled: `controllers` are built."""
     settings, plan = _fitted(settings, options.connection, reporter)
     trajectory = trajectory_or_live(settings.flight.trajectory)
-    _law(settings, None).warm_up()  # seconds, so before anybody is listening to us
+    for name in controllers:
+        _law(settings, name, None).warm_up()  # seconds, so before anybody is listening to us
     Predictor(settings.profile, settings.level)
     try:
         if options.real_time:
@@ -87,7 +138,7 @@ def fly(settings: Settings, options: SessionOptions, reporter: Reporter) -> Flig
                 reporter.say(line)
         else:
             realtime.steady_interpreter()
-        return _fly(settings, options, reporter, trajectory, plan)
+        return _fly(settings, options, reporter, trajectory, plan, run, controllers)
     finally:
         realtime.restore()
 
@@ -98,6 +149,8 @@ def _fly(
     reporter: Reporter,
     trajectory: Trajectory,
     plan: LinePlan | None,
+    run: Callable[[Vehicle, Any, Interrupts], FlightResult],
+    controllers: tuple[str, ...],
 ) -> FlightResult:
     poses = OutsidePoses(options.outside_poses, options.pose_rate_hz) if options.outside_poses else None
     live = trajectory if isinstance(trajectory, LiveTrajectory) else None
@@ -128,32 +181,48 @@ def _fly(
                 fix=options.fix,
                 wait_for_offboard=options.wait_for_offboard,
                 then=options.then,
+                schedule=options.schedule,
             )
 
             known = KnownVehicle(settings, reporter)
 
+            told: list[str] = []
+
             def make_loop(heard: Vehicle) -> ControlLoop:
-                log.attach("settings.json", json.dumps(known.settings.as_tables(), indent=1, sort_keys=True))
-                log.metadata("vehicle", {row.key: as_text(row) for row in known.provenance()})
-                return _control_loop(known.settings, heard, recorder, reporter)
+                tables = json.dumps(known.settings.as_tables(), indent=1, sort_keys=True)
+                if told != [tables]:
+                    name = (
+                        f"{LATER_SETTINGS}{heard.link.autopilot_time_s:.6f}.json" if told else "settings.json"
+                    )
+                    told[:] = [tables]
+                    log.attach(name, tables)
+                    log.metadata("vehicle", {row.key: as_text(row) for row in known.provenance()})
+                return _control_loop(known.settings, heard, recorder, reporter, controllers)
 
             def check_plan(plan: FlightPlan, ground_m: float) -> None:
                 _check_plan(known.settings, plan, ground_m)
 
+            def use_measured(loop: ControlLoop, time_s: float) -> None:
+                _use_measured(known, loop, log, reporter, time_s)
+
             preflight = _preflight(known, vehicle, reporter, plan)
             with _signals(Interrupts()) as interrupts:
-                flight = (FlightFromAir if options.from_air else Flight)(
-                    vehicle,
-                    request,
-                    settings.flight,
-                    recorder,
-                    preflight,
-                    reporter,
-                    interrupts,
-                    make_loop,
-                    check_plan,
-                )
-                result = flight.run()
+
+                def make(kind: type[AnyFlight]) -> AnyFlight:
+                    return kind(
+                        vehicle,
+                        request,
+                        settings.flight,
+                        recorder,
+                        preflight,
+                        reporter,
+                        interrupts,
+                        make_loop,
+                        check_plan,
+                        use_measured,
+                    )
+
+                result = run(vehicle, make, interrupts)
             if poses is not None:
                 _tell_poses(poses, vehicle)
             return result
@@ -237,11 +306,19 @@ def _fitted(
 
 
 def _control_loop(
-    settings: Settings, vehicle: Vehicle, recorder: Recorder, reporter: Reporter
+    settings: Settings,
+    vehicle: Vehicle,
+    recorder: Recorder,
+    reporter: Reporter,
+    controllers: tuple[str, ...],
 ) -> ControlLoop:
-    """Build everything that depends on which autopilot it is, and warm it up."""
+    """Build everything that depends on which autopilot it is, and warm it up; the first of `controllers` flies first."""
     profile, adapter = settings.profile, vehicle.adapter
-    law = _law(settings, adapter.profile_key)
+    names = [name for name in controllers if name != AUTOPILOT or adapter.takes_positions]
+    laws = {name: _law(settings, name, adapter.profile_key) for name in names}
+    if controllers[0] not in laws:
+        raise Refused(NO_POSITIONS)
+    law = laws[controllers[0]]
     for warning in law.warnings:
         reporter.say(f"warning: {warning}")
         recorder.log.event("warning", vehicle.link.autopilot_time_s, text=warning)
@@ -277,14 +354,53 @@ def _control_loop(
     estimator = HoverThrustEstimator(
         hover, response.thrust_dead_time(settings.level), profile.rotors.lag_rad_s
     )
-    return ControlLoop(vehicle, law, predictor, thrust, estimator, settings.flight, recorder, gate)
+    loop = ControlLoop(vehicle, law, predictor, thrust, estimator, settings.flight, recorder, gate, laws)
+    given = settings.given
+    looked = given is None or is_given(given, f"responses.{adapter.profile_key}")  # its author has
+    if settings.level is ControlLevel.ATTITUDE and not looked:
+        loop.measure(AttitudeResponseMeter(response.dead_time_s, response.tilt))
+    return loop
 
 
-def _law(settings: Settings, autopilot: str | None) -> ControlLaw:
-    flight = settings.flight
-    return build_law(
-        flight.controller, settings.gains, settings.profile, settings.level, flight.seed, autopilot=autopilot
+def _use_measured(
+    known: KnownVehicle, loop: ControlLoop, log: FlightLog, reporter: Reporter, time_s: float
+) -> None:
+    """Fly on by the response that was measured, where it is known well enough and is another one; said and logged."""
+    measured = loop.measured()
+    if measured is None or not measured.sure:
+        return
+    before = known.profile.response(known.autopilot)
+    if before.dead_time_s == measured.dead_time_s and before.tilt == measured.tilt:
+        return
+    if not known.measured(measured):
+        return
+    settings = known.settings
+    assert known.autopilot is not None
+    from_s = loop.controlled_until_s
+    loop.laws = {name: _law(settings, name, known.autopilot) for name in loop.laws}
+    loop.change_law(loop.laws[loop.law.name], settings.profile, known.autopilot)
+    log.attach(
+        f"{LATER_SETTINGS}{from_s:.6f}.json", json.dumps(settings.as_tables(), indent=1, sort_keys=True)
     )
+    log.metadata("vehicle", {row.key: as_text(row) for row in known.provenance()})
+    total_s = measured.dead_time_s + measured.tilt.lag_s
+    log.event(
+        "response",
+        time_s,
+        dead_time_s=measured.dead_time_s,
+        natural_frequency_rad_s=measured.tilt.natural_frequency_rad_s,
+        damping=measured.tilt.damping,
+        deviation=measured.deviation,
+    )
+    reporter.say(
+        f"measured: attitude answers within {total_s:.2f} s ± {100 * measured.deviation:.0f} %, "
+        f"{measured.dead_time_s:.2f} of it dead time; until now {before.dead_time_s + before.tilt.lag_s:.2f} s"
+    )
+
+
+def _law(settings: Settings, name: str, autopilot: str | None) -> ControlLaw:
+    gains, seed = settings.gains_of(name), settings.flight.seed
+    return build_law(name, gains, settings.profile, settings.level, seed, autopilot=autopilot)
 
 
 def _check_plan(settings: Settings, plan: FlightPlan, ground_m: float) -> None:
@@ -305,7 +421,7 @@ def _check_plan(settings: Settings, plan: FlightPlan, ground_m: float) -> None:
         height_max_m=ground_m + settings.flight.safety.fence.height_max_m,
     )
     live = settings.flight.trajectory.startswith(PREFIX)  # it stands still so far
-    check_feasibility(leg.trajectory, limits, 1.0 if live else leg.duration_s).require(
+    check_feasibility(leg.trajectory, limits, 1.0 if live else leg.moves_s).require(
         settings.flight.trajectory
     )
 

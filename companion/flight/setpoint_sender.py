@@ -10,10 +10,11 @@ from collections import Counter
 
 import numpy as np
 
+from companion.autopilot.attitude_response import AttitudeResponseMeter
 from companion.autopilot.hover_thrust import HoverThrustEstimator
 from companion.autopilot.thrust import ThrustScale
 from companion.control.prediction import Predictor
-from companion.control.structs import Setpoint, Vector
+from companion.control.structs import Reference, Setpoint, Vector, VehicleState
 from companion.flight.realtime import LoopWatchdog
 from companion.flight.recorder import Recorder
 from companion.flight.setpoint_gate import SetpointGate
@@ -47,6 +48,8 @@ class SetpointSender:
         self.refused = 0  # setpoints in a row
         self.last_sent_s = -math.inf  # on the autopilot's clock
         self.counters: Counter[str] = Counter()
+        self.meter: AttitudeResponseMeter | None = None
+        """Of the attitude loop's response, at the attitude level."""
 
     def send(
         self, time_s: float, setpoint: Setpoint, rotor_thrust: Vector | None, thrust: float | None = None
@@ -70,6 +73,24 @@ class SetpointSender:
         self._post(time_s, message, setpoint, thrust)
         return True
 
+    def send_reference(self, state: VehicleState, reference: Reference) -> bool:
+        """Send the reference itself, for the autopilot's own controller; False when it is not fit to be sent.
+
+        What that asks of attitude and thrust is not known: the vehicle's own attitude and the weight stand for it.
+        """
+        values = (reference.position_enu, reference.velocity_enu, reference.acceleration_enu)
+        if not all(math.isfinite(value) for vector in (*values, [reference.yaw_rad]) for value in vector):
+            self.counters["setpoints refused"] += 1
+            self.refused += 1
+            return False
+        self.refused = 0
+        link = self._vehicle.link
+        message = self._vehicle.adapter.encode_reference(reference, state.time_s, link.target_system or 1)
+        self._send(state.time_s, message)
+        self.asked_quaternion = state.quaternion_wxyz
+        self.asked_thrust_newton = self.thrust.newton(self.thrust.hover_thrust)
+        return True
+
     def _fit(self, time_s: float, setpoint: Setpoint, thrust: float, controls: Vector | None) -> bool:
         refusal = self.gate.refusal(setpoint, thrust, controls)
         if not refusal:
@@ -81,15 +102,23 @@ class SetpointSender:
         self.refused += 1
         return False
 
-    def _post(self, time_s: float, message: Message, setpoint: Setpoint, thrust: float) -> None:
+    def _send(self, time_s: float, message: Message) -> bool:
+        """Put a message on the wire; False while the watchdog withholds it."""
         if self.watchdog is not None and self.watchdog.tripped:
             self.counters["setpoints withheld"] += 1
-            return
+            return False
         if self._vehicle.link.send(message):
             self.last_sent_s = time_s
         else:
             self.counters["setpoints not sent"] += 1
+        return True
+
+    def _post(self, time_s: float, message: Message, setpoint: Setpoint, thrust: float) -> None:
+        if not self._send(time_s, message):
+            return
         self.asked_quaternion, self.asked_thrust_newton = setpoint.quaternion_wxyz, setpoint.thrust_newton
         self._hover.sent(time_s, thrust)
         self._predictor.sent(time_s, setpoint)
+        if self.meter is not None:  # what the link takes beyond the ordinary is predicted apart
+            self.meter.sent(time_s + self._predictor.link_delay_s, setpoint.quaternion_wxyz)
         self._recorder.setpoint(time_s, setpoint, thrust)

@@ -30,6 +30,9 @@ class FlightRequest:
     fix: bool  # whether parameters that stand in the way may be set for the flight
     wait_for_offboard: bool  # whether the mode switch is the pilot's
     then: Intent = Intent.LAND  # what the autopilot is asked for once the plan is flown
+    schedule: tuple[
+        tuple[str, float], ...
+    ] = ()  # laws that take turns while tracking, s each; the first flies before
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +75,11 @@ class Stage:
     airborne: bool = False
     nobody_has_it: Callable[[], str] = lambda: ""
     """After a hand-over to the sticks: why nobody is believed to have the vehicle; empty while somebody is."""
+    sticks_moved: bool = False  # which is why the vehicle was handed over
     then: Intent = Intent.LAND  # what the autopilot is asked for once the plan is flown
+    stands_by: bool = (
+        False  # somebody else's having the vehicle is not watched, for our mode may begin again at once
+    )
     ground_m: float = 0.0  # height of the place of take-off in the local frame
 
     def enter(self, phase: Phase) -> None:

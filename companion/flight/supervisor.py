@@ -168,6 +168,10 @@ class Supervisor:
         """Why it stands there."""
         return self._reason
 
+    def law_changed(self, bounds: LawBounds) -> None:
+        """Another law flies from here on, within its own bounds."""
+        self._bounds, self._lyapunov = bounds, None
+
     def judge(self, state: VehicleState, sight: Sight, lifting_off: bool = False) -> Judgement:
         """Look at one state before it reaches the law.
 

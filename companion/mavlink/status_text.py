@@ -6,8 +6,10 @@ last one is the first that is not full. Chunks may come late, twice, or never; a
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import dataclass, field
 
+from companion.mavlink.link import Message, mav
 from companion.mavlink.received import Received
 
 CHUNK_BYTES = 50
@@ -83,6 +85,19 @@ class StatusTexts:
             return []
         old = [key for key, pieces in self._pieces.items() if now_s - pieces.since_s > WAIT_S]
         return [self._pieces.pop(key).put_together() for key in old]
+
+
+def status_texts(severity: int, text: str) -> list[Message]:
+    """The STATUSTEXT that say `text`: one, or chunks of it where it is long. `severity` is a MAV_SEVERITY."""
+    data = text.encode()
+    count = len(data) // CHUNK_BYTES + 1  # the last one is the first that is not full
+    number = 0 if len(data) <= CHUNK_BYTES else zlib.crc32(data) % 65535 + 1
+    if not number:
+        count = 1
+    return [
+        mav.MAVLink_statustext_message(severity, data[at * CHUNK_BYTES :][:CHUNK_BYTES], number, at)
+        for at in range(count)
+    ]
 
 
 def _decoded(text: bytes) -> str:

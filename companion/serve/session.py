@@ -197,7 +197,7 @@ def fly_for_clients(
         FlightEnd: LinkLost, Interrupted.
     """
     settings, plan = _fitted(options.settings, options.connection, reporter)
-    _law(settings, None).warm_up()  # seconds, in which nothing is to wait for us
+    _law(settings, settings.flight.controller, None).warm_up()  # seconds, in which nothing is to wait for us
     Predictor(settings.profile, settings.level)
     connection = options.connection
     link = Link(LawWire(wire), signer=connection.signer(), system=connection.system, component=LAW_COMPONENT)
@@ -260,7 +260,7 @@ def _one_flight(
             def make_loop(heard: Vehicle) -> ControlLoop:
                 log.attach("settings.json", json.dumps(known.settings.as_tables(), indent=1, sort_keys=True))
                 log.metadata("vehicle", {row.key: as_text(row) for row in known.provenance()})
-                return _control_loop(known.settings, heard, recorder, reporter)
+                return _control_loop(known.settings, heard, recorder, reporter, (settings.flight.controller,))
 
             request = FlightRequest(
                 level=settings.level,

@@ -32,12 +32,12 @@ def scenario(folder: Path, *faults: str) -> list[str]:
     return ["--scenario", str(file)]
 
 
-def jumps(record: FlightRecord) -> list[tuple[float, float]]:
-    """By truth, for each engagement: how far (m) the vehicle came off its reference, and how far (°) it turned."""
+def jumps(record: FlightRecord, kind: str = "engaged") -> list[tuple[float, float]]:
+    """By truth, after each event of `kind`: how far (m) the vehicle came off its reference, and how far (°) it turned."""
     truth, reference = record.channel("/truth"), record.channel("/reference")
     assert truth is not None and reference is not None
     found = []
-    for event in record.events_of("engaged"):
+    for event in record.events_of(kind):
         asked = (reference.time_s >= event.time_s - 1e-6) & (reference.time_s <= event.time_s + WITHIN_S)
         times = reference.time_s[asked]
         off_m = 0.0

@@ -101,10 +101,11 @@ def fly_short(
     level: str = "attitude",
     trajectory: str = "lemniscate",
     system: int | None = None,
+    profile: str | None = "qball2",
     **options: Any,
 ) -> Flown:
     """Fly SHORT in this process and read the log back."""
-    loaded = load_settings("qball2", {"level": level, "trajectory": trajectory}, [*SHORT, *settings])
+    loaded = load_settings(profile, {"level": level, "trajectory": trajectory}, [*SHORT, *settings])
     reporter, log = Watching(at or {}), folder / "flight.mcap"
     session = SessionOptions(
         Connection(parse_endpoint(stub.endpoint), system=system), log, overwrite=True, **options

@@ -85,7 +85,6 @@ def test_whatever_ends_it_the_client_has_the_vehicle_again(tmp_path: Path) -> No
         silent_s = client.now_s
         assert client.fly(10.0, lambda _: None, until=lambda: client.modes[-1] != OFFBOARD), client.modes
         assert 1.0 < client.now_s - silent_s < 3.0  # COM_OF_LOSS_T is 1 s
-        assert serve.heard("the client has sent no setpoint")
         assert serve.stop() == 0
     (log,) = (tmp_path / "flights").glob("*.mcap")
     assert len(read_log(log).events_of("engaged")) == 4

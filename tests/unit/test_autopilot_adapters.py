@@ -13,7 +13,7 @@ from companion.autopilot.ardupilot import ArduPilot, ArduPilotNoGps
 from companion.autopilot.px4 import Px4
 from companion.autopilot.registry import adapter_for
 from companion.config.errors import UserError
-from companion.control.structs import ControlLevel, Setpoint
+from companion.control.structs import ControlLevel, Reference, Setpoint
 
 PX4, ARDUPILOT, NO_GPS = Px4(), ArduPilot(), ArduPilotNoGps()
 NOW = (1, 17, 0)
@@ -285,3 +285,18 @@ def test_encoded_actuators():
     assert message.controls == pytest.approx([0.1, -0.2, -0.3, 0.4, 0, 0, 0, 0])
     with pytest.raises(NotImplementedError, match="ArduPilot takes no actuator controls"):
         ARDUPILOT.encode_actuators(1.5, np.zeros(4), 7)
+
+
+@pytest.mark.parametrize("adapter", [Px4(), ArduPilot()])
+def test_a_reference_goes_out_as_position_velocity_acceleration_and_yaw(adapter):
+    """ENU (1, 2, 3) is NED (2, 1, -3); a yaw of 0 (east) is a heading of 90 degrees; yaw rate is not said."""
+    vectors = (np.array([1.0, 2.0, 3.0]), np.array([0.1, 0.2, 0.3]), np.array([0.01, 0.02, 0.03]))
+    reference = Reference(*vectors, np.zeros(3), np.zeros(3), 0.0, 0.0, 0.0)
+    message = adapter.encode_reference(reference, 12.5, 7)
+    assert message.target_system == 7 and message.time_boot_ms == 12500
+    assert message.coordinate_frame == mav.MAV_FRAME_LOCAL_NED
+    assert message.type_mask == 2048
+    assert (message.x, message.y, message.z) == pytest.approx((2.0, 1.0, -3.0))
+    assert (message.vx, message.vy, message.vz) == pytest.approx((0.2, 0.1, -0.3))
+    assert (message.afx, message.afy, message.afz) == pytest.approx((0.02, 0.01, -0.03))
+    assert message.yaw == pytest.approx(math.pi / 2.0)

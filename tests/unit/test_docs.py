@@ -151,7 +151,7 @@ def check_values(arguments: argparse.Namespace, shown: str) -> None:
     profile = given.get("profile") or "qball2"
     assert profile.endswith(".toml") or profile in shipped_profiles(), shown
     for name in [given.get("controller"), *(given.get("controllers") or "").split(",")]:
-        assert not name or name in LAWS or name in OWN_LAWS or name.endswith(".py"), shown
+        assert not name or name in {*LAWS, laws.AUTOPILOT, *OWN_LAWS} or name.endswith(".py"), shown
     if given.get("endpoint"):
         parse_endpoint(given["endpoint"])
     if given.get("sitl"):

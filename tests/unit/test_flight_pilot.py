@@ -110,3 +110,14 @@ def test_a_receiver_that_never_measures_its_signal_is_believed():
     pilot.sticks_are_at_rest()
     now_s = feed(pilot, 1.0, rc(1500, 1800, 1450, 1500, rssi=0), 1.0, None)
     assert pilot.moved_sticks() == "pitch by +30%" and pilot.lost_transmitter(now_s) == ""
+
+
+def test_the_arming_gesture_is_over_when_yaw_is_back_and_all_stand_still():
+    pilot, held = Pilot(0.15), (1500, 1500, 1000, 2000)
+    assert pilot.lets_go(0.0)  # nobody with sticks there
+    now_s = feed(pilot, 0.0, rc(*held), 3.0)
+    assert not pilot.lets_go(now_s)  # still, but held
+    now_s = feed(pilot, now_s, rc(1500, 1500, 1000, 1510), 0.3)
+    assert not pilot.lets_go(now_s)  # back for 0.3 s
+    now_s = feed(pilot, now_s, rc(1500, 1500, 1000, 1510), 0.4)
+    assert pilot.lets_go(now_s)

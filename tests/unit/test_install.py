@@ -22,9 +22,11 @@ PROJECT = Path(__file__).resolve().parents[2]
 SCRIPT = PROJECT / "scripts" / "install"
 VENV = Path(sys.prefix)
 UNIT = "etc/systemd/system/companion@.service"
+STANDBY = "etc/systemd/system/companion-standby@.service"
 RULES = "etc/udev/rules.d/60-companion-autopilot.rules"
 MADE = {
     UNIT,
+    STANDBY,
     RULES,
     "etc/dtlannc-companion/example.env",
     "etc/security/limits.d/60-companion.conf",
@@ -66,9 +68,9 @@ def installed(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def unit_settings(root: Path) -> dict[str, str]:
+def unit_settings(root: Path, unit: str = UNIT) -> dict[str, str]:
     return dict(
-        line.split("=", 1) for line in (root / UNIT).read_text().splitlines() if re.match(r"\w+=", line)
+        line.split("=", 1) for line in (root / unit).read_text().splitlines() if re.match(r"\w+=", line)
     )
 
 
@@ -148,7 +150,10 @@ def test_the_service_is_made_for_one_flight(installed: Path) -> None:
     assert re.search(rf"^\S+ - rtprio {FIFO_PRIORITY}$", limits, re.M)
 
 
-def test_its_command_line_is_understood_and_the_pilot_arms(installed: Path, module, capsys) -> None:
+@pytest.mark.parametrize(("unit", "command"), [(UNIT, "fly"), (STANDBY, "standby")])
+def test_its_command_line_is_understood_and_the_pilot_arms(
+    installed: Path, module, capsys, unit: str, command: str
+) -> None:
     """The service's words, with the example's variables as systemd fills them in, up to the profile that is not there."""
     variables = dict(
         line.split("=", 1)
@@ -156,24 +161,26 @@ def test_its_command_line_is_understood_and_the_pilot_arms(installed: Path, modu
         if not line.startswith("#")
     )
     words: list[str] = []
-    for word in shlex.split(unit_settings(installed)["ExecStart"]):
+    for word in shlex.split(unit_settings(installed, unit)["ExecStart"]):
         whole = re.fullmatch(r"\$\{(\w+)\}", word)
         split = re.fullmatch(r"\$(\w+)", word)
         words += [variables[whole[1]]] if whole else variables[split[1]].split() if split else [word]
     assert words[:3] == [str(VENV / "bin/python"), "-m", "companion.cli.main"]
-    assert "--wait-for-offboard" in words and "--arm" not in words
+    assert words[3] == command and ("--wait-for-offboard" in words) is (command == "fly")
+    assert "--arm" not in words
     assert main(words[3:]) == 2
     assert "/etc/dtlannc-companion/my_drone.toml" in capsys.readouterr().err
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd here")
-def test_systemd_finds_nothing_wrong_with_the_service(installed: Path, tmp_path: Path) -> None:
-    unit = tmp_path / "companion@quad.service"
-    unit.write_text((installed / UNIT).read_text())
+@pytest.mark.parametrize("name", [UNIT, STANDBY])
+def test_systemd_finds_nothing_wrong_with_the_service(installed: Path, tmp_path: Path, name: str) -> None:
+    unit = tmp_path / Path(name).name.replace("@", "@quad")
+    unit.write_text((installed / name).read_text())
     done = subprocess.run(
         ["systemd-analyze", "verify", "--man=no", str(unit)], capture_output=True, text=True, check=False
     )
-    assert [line for line in done.stderr.splitlines() if "companion@" in line] == []
+    assert [line for line in done.stderr.splitlines() if "companion" in line] == []
 
 
 @pytest.mark.parametrize(

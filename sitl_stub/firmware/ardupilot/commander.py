@@ -14,11 +14,17 @@ from sitl_stub.firmware.ardupilot.state import ArduPilotState
 from sitl_stub.firmware.ardupilot.voice import ArduPilotVoice
 from sitl_stub.firmware.common.commands import Result
 from sitl_stub.firmware.common.mavlink_ids import Severity
+from sitl_stub.firmware.common.sticks import ArmingGesture
 from sitl_stub.firmware.common.streams import StreamTable
 from sitl_stub.physics import vehicle as body
 
 LOGGING_AFTER_US = 15_000_000
 """How long a refused arming keeps the log open."""
+
+ARM_GESTURE_US = 2_000_000
+"""ARM_DELAY."""
+GUIDED_ARMS_BY_STICKS = 1
+"""Of GUID_OPTIONS."""
 
 
 class Commander:
@@ -34,9 +40,12 @@ class Commander:
         self.guided = flight_modes.guided
         self.streams = streams
         self._idle_since_us = 0
+        self._gesture = ArmingGesture(ARM_GESTURE_US)
 
     def run(self) -> None:
         """A hundred times a second: the mode that flies; a landing that is over stops the motors."""
+        if self._gesture.made(self.state.sticks, self.state.clock.time_us) and not self.state.armed:
+            self._arm_by_gesture()
         if self.flight_modes.run():
             self.disarm()
 
@@ -94,6 +103,14 @@ class Commander:
         if self.state.killed:
             refusals.append("Motors Emergency Stopped")
         return refusals
+
+    def _arm_by_gesture(self) -> None:
+        """Rudder arming: GUIDED allows it only with GUID_OPTIONS bit 0."""
+        mode, options = self.state.mode, int(self.state.parameters["GUID_OPTIONS"])
+        if mode.value.takes_targets and not options & GUIDED_ARMS_BY_STICKS:
+            self.voice.say(Severity.CRITICAL, f"Arm: {mode.name} mode not armable")
+            return
+        self.request_arm(forced=False)
 
     def request_arm(self, forced: bool) -> Result:
         """COMPONENT_ARM_DISARM with 1."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 FULL_STICK = 1000.0
+GESTURE_YAW, GESTURE_THROTTLE = 0.9, 0.05
 
 
 @dataclass(slots=True)
@@ -35,3 +36,24 @@ class Sticks:
         """MANUAL_CONTROL's x, y, r, z."""
         pitch, roll, yaw = (min(max(fields[name] / FULL_STICK, -1.0), 1.0) for name in ("x", "y", "r"))
         self.put(roll, pitch, yaw, min(max(fields["z"] / FULL_STICK, 0.0), 1.0))
+
+
+class ArmingGesture:
+    """Throttle down and yaw to the right, held for `held_us`: how a pilot arms by the sticks."""
+
+    def __init__(self, held_us: int) -> None:
+        self._held_us = held_us
+        self._since_us: int | None = None
+        self._done = False
+
+    def made(self, sticks: Sticks, time_us: int) -> bool:
+        """Whether it is complete at `time_us`; once for each time that it is held."""
+        if not (sticks.yaw >= GESTURE_YAW and sticks.throttle <= GESTURE_THROTTLE):
+            self._since_us, self._done = None, False
+            return False
+        if self._since_us is None:
+            self._since_us = time_us
+        if self._done or time_us - self._since_us < self._held_us:
+            return False
+        self._done = True
+        return True

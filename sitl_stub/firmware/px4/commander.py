@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from sitl_stub.firmware.common.commands import Result
 from sitl_stub.firmware.common.mavlink_ids import Severity
+from sitl_stub.firmware.common.sticks import ArmingGesture
 from sitl_stub.firmware.px4.battery import BatteryLevel, BatteryWatch, battery_mode
 from sitl_stub.firmware.px4.events import Event, Reason
 from sitl_stub.firmware.px4.modes import (
@@ -38,6 +39,8 @@ FALLBACKS = (Mode.POSCTL, Mode.ALTCTL, Mode.STABILIZED, Mode.LOITER, Mode.RTL)
 """Where one cannot run the next is tried, and landing at the end."""
 EXCEPT_AUTO, EXCEPT_OFFBOARD = 2, 4
 """Bits of COM_RCL_EXCEPT."""
+ARM_GESTURE_US = 1_000_000
+"""COM_RC_ARM_HYST."""
 LONGEST_HOLD_S = 25.0
 """Greatest COM_FAIL_ACT_T that PX4 documents."""
 STICKS_CAUSE = 1
@@ -59,6 +62,7 @@ class Commander:
         self.battery = BatteryWatch()
         self._sticks_optional = True
         """There were none at arming, nor since: that none are there is no loss."""
+        self._gesture = ArmingGesture(ARM_GESTURE_US)
         self._sticks_lost = False
         """Stays until somebody chooses a mode."""
         self._hold_until_us: int | None = None
@@ -127,8 +131,18 @@ class Commander:
         self._choose_mode()
         return Result.ACCEPTED
 
-    def request_arm(self, arm: bool, forced: bool) -> Result:
-        """COMPONENT_ARM_DISARM."""
+    def _arm_by_gesture(self) -> None:
+        """By the sticks it is armed in modes that are flown by them only."""
+        if self.state.armed:
+            return
+        if not self.state.intended.value.needs_sticks:
+            text = "Arming denied: switch to manual mode first"
+            self.voice.announce(Severity.CRITICAL, text, Event.ARMING_DENIED)
+            return
+        self.request_arm(True, forced=False, why=Reason.STICK_GESTURE)
+
+    def request_arm(self, arm: bool, forced: bool, why: Reason = Reason.COMMAND) -> Result:
+        """COMPONENT_ARM_DISARM, or the sticks."""
         a = self.state
         if not arm:
             if self.state.armed and not a.ground.landed and not forced:
@@ -152,9 +166,7 @@ class Commander:
         self.set_home_here()
         self.battery.accept()
         self._sticks_optional = not self.sticks_present()
-        self.voice.announce(
-            Severity.INFO, f"Armed by {Reason.COMMAND.words}", Event.ARMED, bytes((Reason.COMMAND,))
-        )
+        self.voice.announce(Severity.INFO, f"Armed by {why.words}", Event.ARMED, bytes((why,)))
         self._enter(self.state.mode)
         return Result.ACCEPTED
 
@@ -213,6 +225,8 @@ class Commander:
     def update(self) -> None:
         """Failsafes, landing, disarming."""
         a = self.state
+        if self.sticks_present() and self._gesture.made(a.sticks, a.clock.time_us):
+            self._arm_by_gesture()
         self._look_at_battery()
         self._look_at_kill_switch()
         if self.state.armed:

@@ -23,6 +23,7 @@ def event_number(name: str) -> int:
 class Reason(IntEnum):
     """Why it was armed or disarmed: argument of both events (arm_disarm_reason_t), words of 1.13's texts."""
 
+    STICK_GESTURE = 1
     COMMAND = 4
     LANDING = 6
     PREFLIGHT_INACTION = 7
@@ -34,6 +35,7 @@ class Reason(IntEnum):
     def words(self) -> str:
         """`Armed by ...`, `Disarmed by ...`."""
         return {
+            Reason.STICK_GESTURE: "RC",
             Reason.COMMAND: "external command",
             Reason.LANDING: "landing",
             Reason.PREFLIGHT_INACTION: "auto preflight disarming",
