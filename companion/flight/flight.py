@@ -189,7 +189,8 @@ class Flight:
         vehicle.link.wanted = HANDLED | {_RC_CHANNELS}  # half of what comes is for the log only
         ground = self._ground()
         self._stage.ground_m = float(ground.position_enu[2])
-        self._stage.plan = self._lay_out(ground)
+        # what another program will ask for is checked as it comes: until then the trajectory stands still
+        self._stage.plan = self._lay_out(ground, self._request.duration_s if self._live is None else 1.0)
         self._check_plan(self._stage.plan, float(ground.position_enu[2]))
         require_inside(settings.safety, self._stage.plan, ground.position_enu)
         level = level_with_heading(ground.yaw_rad)
@@ -203,9 +204,8 @@ class Flight:
         self._stage.enter(Phase.ARM)
         self._arm()
         ground = self._ground()
-        plan = self._lay_out(
-            ground
-        )  # milliseconds, so on the ground: at lift-off only its climb is planned anew
+        # milliseconds, so on the ground: at lift-off only its climb is planned anew
+        plan = self._lay_out(ground, self._request.duration_s)
         self._announce(plan)
         self._ground_left = ground
         self._stage.enter(Phase.LIFT_OFF)
@@ -222,9 +222,10 @@ class Flight:
         start = replace(at_rest(state.position_enu, ground.yaw_rad), velocity_enu=rising)
         self._stage.plan = plan.climbing_from(start, self._transit_limits(float(ground.position_enu[2])))
         loop.follow(self._stage.plan, state)
-        self._reporter.say(
-            f"off the ground at thrust {loop.lift_off_thrust:.2f}; flying {self._stage.plan.duration_s:.0f} s"
+        flying = (
+            f"flying {self._stage.plan.duration_s:.0f} s" if self._live is None else "waiting for references"
         )
+        self._reporter.say(f"off the ground at thrust {loop.lift_off_thrust:.2f}; {flying}")
 
     def _announce(self, plan: FlightPlan) -> None:
         """Log the trajectory's path, and how it lies: errors are judged along its own axes."""
@@ -287,9 +288,8 @@ class Flight:
         height_m, speed_m_s = float(state.position_enu[2]), float(state.velocity_enu[2])
         return detector.has_left(state.time_s, height_m, speed_m_s, loop.lift_off_thrust / loop.hover_thrust)
 
-    def _lay_out(self, ground: Reference) -> FlightPlan:
-        settings, request = self._settings, self._request
-        beyond_s = 0.0
+    def _lay_out(self, ground: Reference, tracked_s: float) -> FlightPlan:
+        settings, beyond_s = self._settings, 0.0
         if self._live is not None:
             self._live.stand_above(ground)
             beyond_s = BEYOND_END_S
@@ -298,7 +298,7 @@ class Flight:
         return lay_out(
             ground,
             trajectory,
-            request.duration_s + beyond_s,
+            tracked_s + beyond_s,
             settings.procedure.hold_s,
             float(ground.position_enu[2]) + settings.takeoff_height_m,
             limits,

@@ -15,7 +15,7 @@ from companion.flight.phases import Phase
 from companion.flight.plan import FlightPlan, Leg, way_back
 from companion.flight.stage import Stage
 from companion.flightlog.channels import LIVE_SAMPLED
-from companion.live.follower import LOOK_AHEAD_S
+from companion.live.follower import LOOK_AHEAD_S, stop_limits
 from companion.live.heard import Heard
 from companion.live.mavlink_points import Surroundings
 from companion.live.trajectory import Beginning, LiveTrajectory
@@ -105,8 +105,9 @@ class LiveReferences:
         """Plan the way back from where the vehicle is, from the first moment that the law has not looked at."""
         self._left = True
         cut_s = self._live.latest_s
+        now = leg.trajectory.sample(cut_s)
         plan.change_from(
-            leg.start_s + cut_s, way_back(leg.trajectory.sample(cut_s), self._above_home(plan), limits)
+            leg.start_s + cut_s, way_back(now, self._above_home(plan), limits, stop_limits(limits))
         )
 
     def tell(self) -> None:

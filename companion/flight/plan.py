@@ -106,10 +106,10 @@ def lay_out(
 
 
 def way_back(
-    now: Reference, above_home: Reference, limits: TransitLimits
+    now: Reference, above_home: Reference, limits: TransitLimits, stop_limits: TransitLimits | None = None
 ) -> list[tuple[Phase, Trajectory, float]]:
-    """The legs after tracking: from a moving reference to rest, and to rest at `above_home`."""
-    leave = run_out(now, limits)
+    """The legs after tracking: from a moving reference to rest (within `stop_limits`), and to rest at `above_home`."""
+    leave = run_out(now, stop_limits or limits)
     back = transit(leave.sample(leave.duration_s), above_home, limits)
     return [(Phase.RUN_OUT, leave, leave.duration_s), (Phase.RETURN, back, back.duration_s)]
 

@@ -40,7 +40,7 @@ from companion.flight.stage import FlightRequest, FlightResult, Interrupts
 from companion.flight.vehicle import Vehicle
 from companion.flightlog.law_channels import LAW_TEXT
 from companion.flightlog.writer import FlightLog
-from companion.live.trajectory import PREFIX, LiveTrajectory, trajectory_or_live
+from companion.live.trajectory import LiveTrajectory, trajectory_or_live
 from companion.mavlink.bandwidth import LinePlan, describe, plan_line
 from companion.mavlink.connection import Connection
 from companion.mavlink.link import mav
@@ -300,10 +300,7 @@ def _check_plan(settings: Settings, plan: FlightPlan, ground_m: float) -> None:
         height_min_m=ground_m + 0.1,
         height_max_m=ground_m + settings.flight.safety.fence.height_max_m,
     )
-    live = settings.flight.trajectory.startswith(PREFIX)  # it stands still so far
-    check_feasibility(leg.trajectory, limits, 1.0 if live else leg.duration_s).require(
-        settings.flight.trajectory
-    )
+    check_feasibility(leg.trajectory, limits, leg.duration_s).require(settings.flight.trajectory)
 
 
 @contextmanager
