@@ -8,6 +8,7 @@ memory, bit for bit. Where it does not, the code, numba or the processor's arith
 from __future__ import annotations
 
 import json
+import math
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +22,7 @@ from companion.control.laws import LAWS, load_law_file
 from companion.control.packing import INPUT, TERMS, Memory, memory_dtype
 from companion.control.registry import build_law
 from companion.flightlog.channels import packed_channel
-from companion.flightlog.law_channels import INPUT_TOPIC, LAW_TEXT, MEMORY_TOPIC, TERMS_TOPIC
+from companion.flightlog.law_channels import INPUT_TOPIC, LATER_SETTINGS, LAW_TEXT, MEMORY_TOPIC, TERMS_TOPIC
 from companion.flightlog.reader import FlightRecord, NumericChannel
 
 AUTOPILOTS = {"px4": "px4", "ardu": "ardupilot"}
@@ -55,8 +56,14 @@ class Replay:
         return self.steps > 0 and self.identical == self.steps
 
 
-def law_of(record: FlightRecord, law_file: Path | None = None, run_law_in_log: bool = False) -> ControlLaw:
-    """Build the control law a flight was flown with.
+LawFrom = tuple[float, ControlLaw]
+"""From when on (s, autopilot's clock; steps later than that) and which law."""
+
+
+def laws_of(
+    record: FlightRecord, law_file: Path | None = None, run_law_in_log: bool = False
+) -> list[LawFrom]:
+    """Build the control law a flight was flown with, and with the gains that it went on with, in the order of time.
 
     A law of somebody's own is a program: it is taken from `law_file`, and from the log only where `run_law_in_log` says so.
     Raises UserError where the log does not hold its settings, or such a law is not given.
@@ -64,6 +71,15 @@ def law_of(record: FlightRecord, law_file: Path | None = None, run_law_in_log: b
     text = record.attachments.get("settings.json")
     if text is None:
         raise UserError(f"{record.path}: no settings.json in this log, so its steps cannot be repeated")
+    laws = [(-math.inf, _law_of(record, text, law_file, run_law_in_log))]
+    for name, later in record.attachments.items():
+        if name.startswith(LATER_SETTINGS):
+            from_s = float(name.removeprefix(LATER_SETTINGS).removesuffix(".json"))
+            laws.append((from_s, _law_of(record, later, law_file, run_law_in_log)))
+    return sorted(laws, key=lambda item: item[0])
+
+
+def _law_of(record: FlightRecord, text: bytes, law_file: Path | None, run_law_in_log: bool) -> ControlLaw:
     try:
         settings: Settings = settings_from_tables(json.loads(text))
     except (ValueError, KeyError, TypeError) as error:
@@ -96,13 +112,17 @@ def _know_law(record: FlightRecord, name: str, law_file: Path | None, run_law_in
         load_law_file(kept)
 
 
-def replay(record: FlightRecord, law: ControlLaw | None = None, most_mismatches: int = 10) -> Replay:
-    """Repeat every logged step with `law` (default: the one the flight was flown with).
+def replay(
+    record: FlightRecord, law: ControlLaw | list[LawFrom] | None = None, most_mismatches: int = 10
+) -> Replay:
+    """Repeat every logged step with `law` (default: those the flight was flown with).
 
     Raises UserError where the log holds no steps or was written with another layout of the law's records.
     """
-    law = law_of(record) if law is None else law
-    memory_type = memory_dtype(law.hidden)
+    if law is None:
+        law = laws_of(record)
+    laws = law if isinstance(law, list) else [(-math.inf, law)]
+    memory_type = memory_dtype(laws[0][1].hidden)
     inputs = _table(record, INPUT_TOPIC, INPUT)
     memories = _table(record, MEMORY_TOPIC, memory_type)
     terms = _table(record, TERMS_TOPIC, TERMS)
@@ -120,8 +140,10 @@ def replay(record: FlightRecord, law: ControlLaw | None = None, most_mismatches:
         if expected is not None and before.tobytes() != expected:
             hand_overs += 1
         memory = Memory(before.copy().view(memory_type))
+        now_s = inputs.time_s[step]
+        flown = next(each for from_s, each in reversed(laws) if now_s > from_s)
         try:
-            result = law.step_packed(memory, inputs.values[step].copy())
+            result = flown.step_packed(memory, inputs.values[step].copy())
         except StepRefused:
             expected = None
             mismatches.append(Mismatch(step, float(inputs.time_s[step]), ("refused",), float("nan")))

@@ -52,10 +52,13 @@ def from_px4(parameters: Mapping[str, float], vehicle_type: int) -> list[Known]:
     ]
     response = "responses.px4."
     sure = "within 20 %, until it is measured"
-    # MC_ROLL_P 6.5 was seen with 0.07 s of dead time and ω 12; a part of the dead time is link and loop, and stays
+    # MC_ROLL_P 6.5 was seen with 0.07 s of dead time and ω 12. Beyond that a ramp lags by two thirds of what 1/MC_ROLL_P is
+    # more, since the rate loop below has an integral; dead time is link, loop and motors, of which the last only grow
+    dead_s = 0.06 + 0.01 * slower
+    lag_s = 0.07 + 2.0 / 12.0 + 0.66 * (1.0 / roll_p - 1.0 / 6.5) - dead_s
     known += [
-        Known(response + "dead_time_s", round(0.02 + 0.05 * slower, 4), from_roll, sure),
-        Known(response + "tilt.natural_frequency_rad_s", round(12.0 / slower, 3), from_roll, sure),
+        Known(response + "dead_time_s", round(dead_s, 4), from_roll, sure),
+        Known(response + "tilt.natural_frequency_rad_s", round(2.0 / lag_s, 3), from_roll, sure),
         Known(response + "tilt.damping", 1.0, from_roll, sure),
         Known(response + "rate_dead_time_s", round(0.02 + 0.03 * slower, 4), from_roll, sure),
         Known(response + "yaw.natural_frequency_rad_s", round(4.6 / yaw_slower, 3), from_yaw, sure),

@@ -28,6 +28,7 @@ EPILOG = """examples:
   companion fly --endpoint udpin:0.0.0.0:14540                 any PX4 multirotor, here its own simulation
   companion fly --endpoint tcp:127.0.0.1:5760 --fix            any ArduCopter
   companion fly --endpoint /dev/ttyACM0,921600 --profile my_drone.toml --trajectory hover
+  companion fly --endpoint /dev/ttyACM0,921600 --from-air      a vehicle that hovers already
   companion fly --sitl px4 --sitl-options "--vehicle random:7" a vehicle that nobody has written a profile for
 
 Ctrl-C lands; a second Ctrl-C hands back to the autopilot at once. A vehicle that is not a simulation is armed by
@@ -117,6 +118,16 @@ def add_flight_options(parser: argparse.ArgumentParser, required: bool = True) -
     )
     parser.add_argument(
         "--pose-rate", type=float, default=50.0, metavar="HZ", help="forward so many at most (default 50)"
+    )
+    parser.add_argument(
+        "--from-air",
+        action="store_true",
+        help="begin in the air: the vehicle hovers already, under its pilot or its autopilot (docs/in_the_air.md)",
+    )
+    parser.add_argument(
+        "--then",
+        choices=("hold", "land", "return"),
+        help="what the autopilot does once the plan is flown (default: hold with --from-air, else land)",
     )
     parser.add_argument("--arm", action="store_true", help="let the companion arm a real vehicle")
     parser.add_argument("--wait-for-offboard", action="store_true", help="leave the mode switch to the pilot")
@@ -266,8 +277,9 @@ def fly_once(
     arguments: argparse.Namespace, controller: str, seed: int, log_path: Path, overwrite: bool
 ) -> tuple[str, str, int]:
     """One flight with the shared options; returns outcome, text and exit code."""
+    from companion.autopilot.adapter import Intent
     from companion.cli.console import ConsoleReporter
-    from companion.cli.sitl import FIRMWARES, STUB_PATIENCE, running_stub
+    from companion.cli.sitl import FIRMWARES, STUB_PATIENCE, airborne, running_stub
     from companion.config.settings import load_settings
     from companion.flight.session import SessionOptions, fly
 
@@ -288,12 +300,15 @@ def fly_once(
         },
         ([STUB_PATIENCE] if arguments.sitl else []) + arguments.overrides,
     )
+    if arguments.from_air and arguments.fix:
+        raise UserError("--fix sets parameters on the ground: run `companion check --fix` before the flight")
     if arguments.sitl and arguments.sitl not in FIRMWARES:
         raise UserError(f"--sitl {arguments.sitl}: the bundled stub has {', '.join(FIRMWARES)}")
     reporter = ConsoleReporter()
     if arguments.sitl:
         reporter.say("starting the bundled stub; the first time on a machine it compiles for up to a minute")
-    stub_words = shlex.split(arguments.sitl_options) + ([] if arguments.real_time else ["--lockstep"])
+    stub_words = [*(airborne(arguments.sitl) if arguments.sitl and arguments.from_air else ())]
+    stub_words += shlex.split(arguments.sitl_options) + ([] if arguments.real_time else ["--lockstep"])
     simulator = (
         running_stub(arguments.sitl, seed, stub_words) if arguments.sitl else nullcontext(arguments.endpoint)
     )
@@ -305,6 +320,8 @@ def fly_once(
             may_arm=arguments.arm,
             fix=arguments.fix,
             wait_for_offboard=arguments.wait_for_offboard,
+            from_air=arguments.from_air,
+            then=Intent(arguments.then or ("hold" if arguments.from_air else "land")),
             real_time=not arguments.sitl or arguments.real_time,
             command_line=shlex.join(sys.argv),
             outside_poses=pose_address(arguments.outside_poses),

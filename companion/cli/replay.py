@@ -36,12 +36,12 @@ def add_parser(subparsers: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Replay and say what came out. Raises UserError where the log does not hold what a replay needs."""
     from companion.analysis.live_replay import replay_references
-    from companion.analysis.replay import law_of, replay
+    from companion.analysis.replay import laws_of, replay
     from companion.flightlog.reader import read_log
 
     record = read_log(arguments.log)
     law_file = Path(arguments.law) if arguments.law else None
-    found = replay(record, law_of(record, law_file, arguments.run_law_in_log))
+    found = replay(record, laws_of(record, law_file, arguments.run_law_in_log))
     references = replay_references(record)
     if arguments.json:
         mismatches = [

@@ -9,12 +9,13 @@ if they hold for one: κ is counted in 1/N.
 from __future__ import annotations
 
 import functools
+import math
 import tomllib
 from collections.abc import Mapping
 from importlib import resources
 from typing import Any
 
-from companion.config.profile import LevelName, VehicleProfile
+from companion.config.profile import LevelName, SecondOrder, VehicleProfile
 from companion.control.structs import ControlLevel
 
 _MASS = ("K_U", "K_i", "alpha", "N", "weight_bound", "integral_bound", "residual_bound")
@@ -23,6 +24,8 @@ _POWER = {"K_e": 1, "K_U": 1, "K_i": 2, "N": 2, "boundary_width": -1}
 """Of s, of the gains that depend on the lag."""
 ESTIMATE_S = 0.01
 """Age of the estimate that the common gains were found with: what is more counts as lag."""
+_AT_QUARTER_TURN = 1.687
+"""Lag times that frequency of the response that the attitude gains were found on: 0.07 s, 12 rad/s, ζ 1."""
 LONGEST_LAG_S = 1.5
 """Slower than that no loop is made: below a natural frequency of 1 rad/s nothing would be tracked at all."""
 
@@ -43,12 +46,26 @@ def total_lag_s(profile: VehicleProfile, level: ControlLevel, autopilot: str | N
     response = profile.response(autopilot)
     lag_s = response.dead_time(level) + max(0.0, profile.estimator_delay_s - ESTIMATE_S)
     if level is ControlLevel.ATTITUDE:
-        lag_s += response.tilt.lag_s
+        lag_s = max(lag_s + response.tilt.lag_s, _AT_QUARTER_TURN / _quarter_turn_rad_s(lag_s, response.tilt))
     elif level is ControlLevel.BODY_RATE:
         lag_s += max(response.rate_lag_s[:2])
     else:
         lag_s += 1.0 / profile.rotors.lag_rad_s
     return min(LONGEST_LAG_S, lag_s * profile.lag_margin)
+
+
+def _quarter_turn_rad_s(dead_time_s: float, response: SecondOrder) -> float:
+    """Frequency at which dead time and response together lag by 90°, rad/s.
+
+    A response that overshoots lags little behind a ramp, and yet turns as far as a slow one where it counts, and amplifies.
+    """
+    low, high = 0.0, response.natural_frequency_rad_s
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        ratio = middle / response.natural_frequency_rad_s
+        lagging = dead_time_s * middle + math.atan2(2.0 * response.damping * ratio, 1.0 - ratio * ratio)
+        low, high = (middle, high) if lagging < 0.5 * math.pi else (low, middle)
+    return high
 
 
 def common_gains(

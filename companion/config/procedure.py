@@ -20,6 +20,10 @@ class Procedure(SettingsModel):
     """For the pilot to arm or to switch, where that is theirs, s."""
     prove_s: float = Field(default=1.5, ge=1.0)
     """Idle setpoints before the mode change, s; PX4 wants to have seen them for 1 s."""
+    engage_speed_m_s: Positive = 3.0
+    """Speed beyond which we do not engage in the air, m/s."""
+    engage_tilt_deg: Positive = 20.0
+    """Tilt beyond which we do not engage in the air, degrees."""
     lift_off_start: float = Field(default=0.3, ge=0.0, lt=1.0)
     """Thrust at which the rise to lift-off begins, in hover thrusts."""
     lift_off_rate: Positive = 0.5

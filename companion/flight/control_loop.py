@@ -16,8 +16,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from companion.autopilot.attitude_response import AttitudeResponseMeter, MeasuredResponse
 from companion.autopilot.hover_thrust import HoverThrustEstimator
 from companion.autopilot.thrust import ThrustScale
+from companion.config.profile import VehicleProfile
 from companion.config.safety import Reaction
 from companion.config.settings import FlightSettings
 from companion.control.bounds import POSITION_SATURATES
@@ -197,21 +199,72 @@ class ControlLoop:
 
         What lifted the vehicle off is more than that: kept, it would go on accelerating it.
         """
+        rise_1_s = self._settings.procedure.lift_off_rate * self._sender.thrust.hover_thrust
+        self._hover.lifted_off(self.lift_off_thrust, rise_1_s, float(state.velocity_enu[2]))
+        self._begin(plan, state, state)
+
+    def hover(self, quaternion_wxyz: Vector, thrust: float) -> None:
+        """Send what keeps a hovering vehicle as it is: attitude (4,), and the thrust it hovers with (0..1)."""
+        self._level_quaternion = quaternion_wxyz
+        if math.isfinite(thrust):
+            self._sender.thrust = replace(self._sender.thrust, hover_thrust=thrust)
+        self.activity = Activity.LEVEL
+
+    def take_on(self, plan: FlightPlan, state: VehicleState, watching: Watching) -> None:
+        """Hand over to the control law in the air: it goes on from what `hover` was told last."""
+        self._watching = watching
+        self._sender.watchdog, self._sender.last_sent_s = watching.watchdog, state.time_s
+        self._hover.hovered(self._sender.thrust.hover_thrust)
+        scale = self._sender.thrust
+        self._predictor.hovering(state.time_s, self._level_quaternion, scale.newton(scale.hover_thrust))
+        self._begin(plan, state, self._predictor.predict(state))
+
+    def _begin(self, plan: FlightPlan, state: VehicleState, seen: VehicleState) -> None:
+        """Follow `plan` from `state` on; the law takes over at the state `seen`, which it would be shown next."""
         self._plan, self._plan_started_s = plan, state.time_s
         self._shift_enu, self._shift_yaw_rad = None, 0.0
         self._jump_enu = None
-        rise_1_s = self._settings.procedure.lift_off_rate * self._sender.thrust.hover_thrust
-        self._hover.lifted_off(self.lift_off_thrust, rise_1_s, float(state.velocity_enu[2]))
         self._sender.thrust = replace(self._sender.thrust, hover_thrust=self._hover.hover_thrust)
         self._memory = self._law.take_over(
             self._memory,
-            state,
-            plan.sample(0.0),
+            seen,
+            plan.sample(seen.time_s - state.time_s),
             self._sender.thrust.newton(self._sender.thrust.hover_thrust),
             self._level_quaternion,
         )
         self._last_step_s = state.time_s - self.period_s
         self.activity = Activity.FOLLOW
+
+    def measure(self, meter: AttitudeResponseMeter) -> None:
+        """Let `meter` see setpoints and attitudes from now on."""
+        self._sender.meter = meter
+
+    def measured(self) -> MeasuredResponse | None:
+        """How the attitude loop has answered so far; None where that is not measured."""
+        return None if self._sender.meter is None else self._sender.meter.measured()
+
+    def change_law(self, law: ControlLaw, profile: VehicleProfile, autopilot: str) -> None:
+        """Go on in flight with gains and prediction for another response of the autopilot, without a step in what is sent.
+
+        Everything learnt so far stays: weights, and the force of the integral.
+        """
+        state = self._vehicle.state
+        assert state is not None and self.activity is Activity.FOLLOW
+        packed = self._memory.packed.copy()
+        before, now = self._law.parameters.position.K_i, law.parameters.position.K_i
+        for i in range(3):
+            if now[i] > 0.0:
+                packed[0]["position_integral"][i] *= before[i] / now[i]
+        self._law = law
+        self._predictor.respond(profile, law.level, autopilot)
+        ahead = self._predictor.predict(state)
+        self._memory = law.take_over(
+            Memory(packed),
+            ahead,
+            self._sample(ahead.time_s),
+            self._sender.asked_thrust_newton,
+            self._sender.asked_quaternion,
+        )
 
     @property
     def cannot_have_left(self) -> bool:
@@ -343,6 +396,8 @@ class ControlLoop:
             self._recorder.log.event("estimator_reset", state.time_s, jump_enu=moved, yaw_jump_rad=turned)
         self._react(judgement, state.time_s)
         self._estimate_hover(state, trusted=judgement.gate is AdaptationGate.RUN)
+        if self._sender.meter is not None:
+            self._sender.meter.update(state.time_s, state.quaternion_wxyz)
         if judgement.yaw_jump_rad or self._plan is not plan:
             reference = self._sample(state.time_s)
         self.position_error_enu = reference.position_enu - state.position_enu

@@ -60,7 +60,11 @@ REAL_TIME_TOLERANCE = 0.02  # of the time passed: a lockstep simulation runs at 
 
 
 class Flight:
-    """See the module. `make_loop` builds the control loop once the autopilot is known."""
+    """See the module. `make_loop` builds the control loop once the autopilot is known, `use_measured` changes its gains
+    for what the flight has shown by the time it is to track."""
+
+    begins_in_air = False
+    """Whether the vehicle flies already: parameters are left alone then."""
 
     def __init__(
         self,
@@ -73,6 +77,7 @@ class Flight:
         interrupts: Interrupts,
         make_loop: Callable[[Vehicle], ControlLoop],
         check_plan: Callable[[FlightPlan, float], None],
+        use_measured: Callable[[ControlLoop, float], None] = lambda _loop, _time_s: None,
     ) -> None:
         self._vehicle = vehicle
         self._request = request
@@ -83,9 +88,10 @@ class Flight:
         self._interrupts = interrupts
         self._make_loop = make_loop
         self._check_plan = check_plan
+        self._use_measured = use_measured
         self._loop: ControlLoop
         self._ground_left: Reference  # where it stood when it was armed
-        self._stage = Stage(vehicle, recorder, reporter)
+        self._stage = Stage(vehicle, recorder, reporter, then=request.then)
         live = request.trajectory if isinstance(request.trajectory, LiveTrajectory) else None
         self._live = LiveReferences(self._stage, settings, live, request.frame) if live is not None else None
         self._descent = Descent(self._stage, settings)
@@ -142,6 +148,7 @@ class Flight:
             reacted = in_words(reaction_times(loop.reactions, loop.controlled_until_s))
             result = replace(result, text=f"{result.text}; {reacted}") if reacted else result
             self._recorder.log.metadata("wall setpoints", loop.counters)
+        self._recorder.log.metadata("wall link", self._vehicle.link.counters)
         self._recorder.log.event(
             "ended", self._vehicle.link.autopilot_time_s, outcome=result.outcome.value, text=result.text
         )
@@ -157,7 +164,7 @@ class Flight:
         checks.ask_for_streams()
         findings = checks.parameter_findings()
         self._loop = self._stage.loop = self._make_loop(vehicle)
-        if checks.changes.pending():
+        if checks.changes.pending() and not self.begins_in_air:
             self._require_standing()
             checks.changes.put_back()
             findings = checks.parameter_findings()
@@ -314,14 +321,11 @@ class Flight:
         if isinstance(request.trajectory, Mission):
             return self._located(request.trajectory, ground, accuracy_m)
         laid_out = place(request.trajectory, request.frame, ground.position_enu, ground.yaw_rad)
-        times = np.linspace(0.0, min(request.duration_s, laid_out.duration_s), LOWEST_SAMPLES)
-        lowest_m = min(float(laid_out.sample(float(t)).position_enu[2]) for t in times) - float(
-            ground.position_enu[2]
-        )
-        wanted_m = max(self._raised_m, accuracy_m - lowest_m)
+        least_m = lowest_m(laid_out, request.duration_s) - float(ground.position_enu[2])
+        wanted_m = max(self._raised_m, accuracy_m - least_m)
         if wanted_m <= 0.0:
             return laid_out
-        why = f"the trajectory comes down to {lowest_m:.2f} m, and the height estimate may be wrong by {accuracy_m:.2f} m"
+        why = f"the trajectory comes down to {least_m:.2f} m, and the height estimate may be wrong by {accuracy_m:.2f} m"
         if request.frame is Frame.LOCAL or wanted_m > MOST_RAISED_M:
             raise Refused(f"{why} (ESTIMATOR_STATUS): fly higher, or wait until the estimate has settled")
         if not self._raised_m:
@@ -421,6 +425,8 @@ class Flight:
         loop, plan = self._loop, self._stage.plan
         for leg in plan.legs:
             self._stage.enter(leg.phase)
+            if leg.phase in (Phase.RUN_IN, Phase.TRACK):
+                self._use_measured(loop, self._vehicle.link.autopilot_time_s)
             tracking = leg.phase is Phase.TRACK
             if tracking:
                 self._recorder.log.event("tracking", self._vehicle.link.autopilot_time_s, active=True)
@@ -561,3 +567,9 @@ class Flight:
                 changes.put_back()
         if words := changes.in_words():
             self._reporter.say(f"warning: {words}")
+
+
+def lowest_m(trajectory: Trajectory, duration_s: float) -> float:
+    """The lowest z of a trajectory over its first `duration_s`, m."""
+    times = np.linspace(0.0, min(duration_s, trajectory.duration_s), LOWEST_SAMPLES)
+    return min(float(trajectory.sample(float(time_s)).position_enu[2]) for time_s in times)

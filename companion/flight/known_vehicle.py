@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from companion.autopilot.attitude_response import MeasuredResponse
 from companion.autopilot.vehicle_parameters import summary
 from companion.config.profile import VehicleProfile
 from companion.config.provenance import Known, is_given, provenance, tables_of
 from companion.config.settings import Settings, resolved
 from companion.flight.reporter import Reporter
 from companion.flight.vehicle import Vehicle
+
+MEASURED = "measured in flight"
+MEASURED_LAG_MARGIN = 1.1
+"""What is left unknown: the fit is to calm motion, and large turns may take longer."""
 
 
 class KnownVehicle:
@@ -17,7 +22,7 @@ class KnownVehicle:
         self.settings = settings
         self._reporter = reporter
         self._told: list[Known] | None = None
-        self._autopilot: str | None = None
+        self.autopilot: str | None = None
 
     @property
     def profile(self) -> VehicleProfile:
@@ -29,7 +34,7 @@ class KnownVehicle:
         given = self.settings.given
         if given is None:
             return
-        self._autopilot = key = vehicle.adapter.profile_key
+        self.autopilot = key = vehicle.adapter.profile_key
         heartbeat = vehicle.link.heartbeat
         told = vehicle.adapter.tells(
             vehicle.parameters.values, heartbeat.type if heartbeat is not None else 0
@@ -44,6 +49,34 @@ class KnownVehicle:
         if first and (text := summary(used)):
             self._reporter.say(f"from the autopilot: {text}")
 
+    def measured(self, response: MeasuredResponse) -> bool:
+        """Put what was measured in flight in place of what the parameters told; False where somebody wrote it.
+
+        Raises UserError as `learn`.
+        """
+        given, key = self.settings.given, self.autopilot
+        head = f"responses.{key}."
+        if given is None or key is None or self._told is None or is_given(given, f"responses.{key}"):
+            return False
+        sure = f"within {max(1.0, 100.0 * response.deviation):.0f} %"
+        found = [
+            Known(head + "dead_time_s", response.dead_time_s, MEASURED, sure),
+            Known(
+                head + "tilt.natural_frequency_rad_s", response.tilt.natural_frequency_rad_s, MEASURED, sure
+            ),
+            Known(head + "tilt.damping", response.tilt.damping, MEASURED, sure),
+            Known("lag_margin", MEASURED_LAG_MARGIN, "default", "of a response measured in flight"),
+        ]
+        keys = {item.key for item in found}
+        self._told = [
+            *(item for item in self._told if item.key not in keys),
+            *(item for item in found if not is_given(given, item.key)),
+        ]
+        self.settings = resolved(
+            self.settings.flight, given, self.settings.overrides, tables_of(self._told), autopilot=key
+        )
+        return True
+
     def provenance(self) -> list[Known]:
         """Every number of the vehicle and the gains, with where it came from."""
-        return provenance(self.settings, self._told or [], self._autopilot)
+        return provenance(self.settings, self._told or [], self.autopilot)

@@ -85,24 +85,36 @@ def lay_out(
         height_m: take-off height above the ground.
         limits: for everything but the tracking itself.
     """
-    track_s = min(track_s, trajectory.duration_s)
     up = climb(ground, float(ground.position_enu[2]) + height_m, limits)
     top = up.sample(up.duration_s)
+    legs = _there_and_back(top, trajectory, track_s, hold_s, limits)
+    return FlightPlan([(Phase.CLIMB, up, up.duration_s), *legs])
+
+
+def lay_out_in_air(
+    stop: Trajectory, trajectory: Trajectory, track_s: float, hold_s: float, limits: TransitLimits
+) -> FlightPlan:
+    """Plan a flight that begins in the air with `stop`, which brings the vehicle to rest, and ends there; see `lay_out`."""
+    legs = _there_and_back(stop.sample(stop.duration_s), trajectory, track_s, hold_s, limits)
+    return FlightPlan([(Phase.STOP, stop, stop.duration_s), *legs])
+
+
+def _there_and_back(
+    top: Reference, trajectory: Trajectory, track_s: float, hold_s: float, limits: TransitLimits
+) -> list[tuple[Phase, Trajectory, float]]:
+    track_s = min(track_s, trajectory.duration_s)
     entry = run_in(trajectory, limits)
     start = entry.sample(0.0)
     go = transit(top, start, limits)
     x_m, y_m, height_m = start.position_enu.tolist()
     hold = Hold(x_m, y_m, height_m, start.yaw_rad)
-    return FlightPlan(
-        [
-            (Phase.CLIMB, up, up.duration_s),
-            (Phase.GO_TO_START, go, go.duration_s),
-            (Phase.HOLD, hold, hold_s),
-            (Phase.RUN_IN, entry, entry.duration_s),
-            (Phase.TRACK, trajectory, track_s),
-            *way_back(trajectory.sample(track_s), resting(top.position_enu, ground.yaw_rad), limits),
-        ]
-    )
+    return [
+        (Phase.GO_TO_START, go, go.duration_s),
+        (Phase.HOLD, hold, hold_s),
+        (Phase.RUN_IN, entry, entry.duration_s),
+        (Phase.TRACK, trajectory, track_s),
+        *way_back(trajectory.sample(track_s), resting(top.position_enu, top.yaw_rad), limits),
+    ]
 
 
 def way_back(

@@ -16,17 +16,19 @@ from types import FrameType
 
 import numpy as np
 
-from companion.autopilot.adapter import Finding, Verdict
+from companion.autopilot.adapter import Finding, Intent, Verdict
+from companion.autopilot.attitude_response import AttitudeResponseMeter
 from companion.autopilot.hover_thrust import HoverThrustEstimator
 from companion.autopilot.thrust import ThrustScale, mixer_of
-from companion.config.provenance import Known, as_text
+from companion.config.provenance import Known, as_text, is_given
 from companion.config.settings import Settings
 from companion.control.law import ControlLaw
 from companion.control.prediction import Predictor
 from companion.control.registry import build_law
-from companion.control.structs import Vector
+from companion.control.structs import ControlLevel, Vector
 from companion.flight import realtime
 from companion.flight.control_loop import ControlLoop
+from companion.flight.engagement import FlightFromAir
 from companion.flight.flight import Flight
 from companion.flight.known_vehicle import KnownVehicle
 from companion.flight.outcome import Refused
@@ -38,7 +40,7 @@ from companion.flight.reporter import Reporter
 from companion.flight.setpoint_gate import SetpointGate
 from companion.flight.stage import FlightRequest, FlightResult, Interrupts
 from companion.flight.vehicle import Vehicle
-from companion.flightlog.law_channels import LAW_TEXT
+from companion.flightlog.law_channels import LATER_SETTINGS, LAW_TEXT
 from companion.flightlog.writer import FlightLog
 from companion.live.trajectory import LiveTrajectory, trajectory_or_live
 from companion.mavlink.bandwidth import LinePlan, describe, plan_line
@@ -61,6 +63,8 @@ class SessionOptions:
     may_arm: bool = False
     fix: bool = False
     wait_for_offboard: bool = False
+    from_air: bool = False  # the vehicle hovers already, under its pilot or its autopilot
+    then: Intent = Intent.LAND  # what the autopilot is asked for once the plan is flown
     real_time: bool = True  # ask for real-time scheduling; a simulation in lockstep has no use for it
     command_line: str = ""
     outside_poses: tuple[str, int] | None = None  # host, port to hear poses at that are forwarded as ODOMETRY
@@ -124,6 +128,7 @@ def _fly(
                 may_arm=options.may_arm,
                 fix=options.fix,
                 wait_for_offboard=options.wait_for_offboard,
+                then=options.then,
             )
 
             known = KnownVehicle(settings, reporter)
@@ -136,9 +141,12 @@ def _fly(
             def check_plan(plan: FlightPlan, ground_m: float) -> None:
                 _check_plan(known.settings, plan, ground_m)
 
+            def use_measured(loop: ControlLoop, time_s: float) -> None:
+                _use_measured(known, loop, log, reporter, time_s)
+
             preflight = _preflight(known, vehicle, reporter, plan)
             with _signals(Interrupts()) as interrupts:
-                flight = Flight(
+                flight = (FlightFromAir if options.from_air else Flight)(
                     vehicle,
                     request,
                     settings.flight,
@@ -148,6 +156,7 @@ def _fly(
                     interrupts,
                     make_loop,
                     check_plan,
+                    use_measured,
                 )
                 result = flight.run()
             if poses is not None:
@@ -273,7 +282,47 @@ def _control_loop(
     estimator = HoverThrustEstimator(
         hover, response.thrust_dead_time(settings.level), profile.rotors.lag_rad_s
     )
-    return ControlLoop(vehicle, law, predictor, thrust, estimator, settings.flight, recorder, gate)
+    loop = ControlLoop(vehicle, law, predictor, thrust, estimator, settings.flight, recorder, gate)
+    given = settings.given
+    looked = given is None or is_given(given, f"responses.{adapter.profile_key}")  # its author has
+    if settings.level is ControlLevel.ATTITUDE and not looked:
+        loop.measure(AttitudeResponseMeter(response.dead_time_s, response.tilt))
+    return loop
+
+
+def _use_measured(
+    known: KnownVehicle, loop: ControlLoop, log: FlightLog, reporter: Reporter, time_s: float
+) -> None:
+    """Fly on by the response that was measured, where it is known well enough and is another one; said and logged."""
+    measured = loop.measured()
+    if measured is None or not measured.sure:
+        return
+    before = known.profile.response(known.autopilot)
+    if before.dead_time_s == measured.dead_time_s and before.tilt == measured.tilt:
+        return
+    if not known.measured(measured):
+        return
+    settings = known.settings
+    assert known.autopilot is not None
+    from_s = loop.controlled_until_s
+    loop.change_law(_law(settings, known.autopilot), settings.profile, known.autopilot)
+    log.attach(
+        f"{LATER_SETTINGS}{from_s:.6f}.json", json.dumps(settings.as_tables(), indent=1, sort_keys=True)
+    )
+    log.metadata("vehicle", {row.key: as_text(row) for row in known.provenance()})
+    total_s = measured.dead_time_s + measured.tilt.lag_s
+    log.event(
+        "response",
+        time_s,
+        dead_time_s=measured.dead_time_s,
+        natural_frequency_rad_s=measured.tilt.natural_frequency_rad_s,
+        damping=measured.tilt.damping,
+        deviation=measured.deviation,
+    )
+    reporter.say(
+        f"measured: attitude answers within {total_s:.2f} s ± {100 * measured.deviation:.0f} %, "
+        f"{measured.dead_time_s:.2f} of it dead time; until now {before.dead_time_s + before.tilt.lag_s:.2f} s"
+    )
 
 
 def _law(settings: Settings, autopilot: str | None) -> ControlLaw:

@@ -10,6 +10,7 @@ from collections import Counter
 
 import numpy as np
 
+from companion.autopilot.attitude_response import AttitudeResponseMeter
 from companion.autopilot.hover_thrust import HoverThrustEstimator
 from companion.autopilot.thrust import ThrustScale
 from companion.control.prediction import Predictor
@@ -47,6 +48,8 @@ class SetpointSender:
         self.refused = 0  # setpoints in a row
         self.last_sent_s = -math.inf  # on the autopilot's clock
         self.counters: Counter[str] = Counter()
+        self.meter: AttitudeResponseMeter | None = None
+        """Of the attitude loop's response, at the attitude level."""
 
     def send(
         self, time_s: float, setpoint: Setpoint, rotor_thrust: Vector | None, thrust: float | None = None
@@ -92,4 +95,6 @@ class SetpointSender:
         self.asked_quaternion, self.asked_thrust_newton = setpoint.quaternion_wxyz, setpoint.thrust_newton
         self._hover.sent(time_s, thrust)
         self._predictor.sent(time_s, setpoint)
+        if self.meter is not None:  # what the link takes beyond the ordinary is predicted apart
+            self.meter.sent(time_s + self._predictor.link_delay_s, setpoint.quaternion_wxyz)
         self._recorder.setpoint(time_s, setpoint, thrust)

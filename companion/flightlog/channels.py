@@ -140,7 +140,6 @@ STATE = ChannelSpec(
         FieldSpec("quaternion_wxyz", 4, "1", "Hamilton, body FLU to world ENU"),
         FieldSpec("body_rate_flu", 3, "rad/s"),
         FieldSpec("position_age_s", 1, "s", "age of the position message when the step ran, autopilot time"),
-        FieldSpec("attitude_age_s", 1, "s", "age of the attitude message when the step ran, autopilot time"),
     ),
     pose=("position_enu", "quaternion_wxyz"),
 )

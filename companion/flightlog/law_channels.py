@@ -12,6 +12,8 @@ from companion.flightlog.channels import ChannelSpec, packed_channel
 
 LAW_TEXT = "law.py"
 """The attachment that holds the text of a law of one's own."""
+LATER_SETTINGS = "settings-from-"
+"""Begins the names of attachments with the settings from a time on, s: `settings-from-12.345678.json`."""
 INPUT_TOPIC, MEMORY_TOPIC, TERMS_TOPIC = "/law_input", "/law_memory", "/terms"
 
 _STATE_UNITS = {

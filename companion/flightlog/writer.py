@@ -123,6 +123,7 @@ class FlightLog:
         self._trouble = ""
         self._last_time_s = math.nan  # of the record before: most share their instant with it
         self._last_time_ns = 0
+        self._room = free_bytes(self.path)
         self._channels: dict[str, Channel] = {}
         self._by_topic: dict[str, int] = {}
         self._closed = False
@@ -210,16 +211,14 @@ class FlightLog:
 
     @property
     def waiting(self) -> int:
-        """Records waiting for the writer thread. Cheap; `health` asks the disk."""
+        """Records waiting for the writer thread."""
         return len(self._queue)
 
     @property
     def health(self) -> LogHealth:
-        """How the log is doing. Asks the file system for its free space: not for every control step."""
-        room = free_bytes(self.path)
-        return LogHealth(
-            self._written, len(self._queue), self._dropped, self._rejected, self._lost, room, self._trouble
-        )
+        """How the log is doing. Its room is that of the last look, SYNC_INTERVAL_S ago at most: this asks no disk."""
+        waits, room = len(self._queue), self._room
+        return LogHealth(self._written, waits, self._dropped, self._rejected, self._lost, room, self._trouble)
 
     def close(self, timeout_s: float = 10.0) -> LogHealth:
         """Write what waits, the index and the footer. Safe to call twice. Returns the final health.
@@ -275,6 +274,7 @@ class FlightLog:
 
     def _sync_until_stopped(self) -> None:
         while not self._stop.wait(SYNC_INTERVAL_S):
+            self._room = free_bytes(self.path)
             try:
                 os.fdatasync(self._descriptor)
             except OSError as error:

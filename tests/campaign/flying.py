@@ -78,6 +78,8 @@ def arguments(planned: PlannedFlight, log: Path) -> list[str]:
     words += ["--level", planned.level, "--trajectory", planned.trajectory]
     words += ["--duration", f"{planned.duration_s:g}", "--seed", str(planned.seed % 1000)]
     words += ["--log", str(log), "--overwrite", "--json", "--fix"]
+    if any("autopilot" in str(fault.value("senders")) for fault in planned.faults):
+        words += ["--system", "1"]  # two autopilots are refused where nobody says which
     for text in planned.overrides():
         words += ["--set", text]
     return words

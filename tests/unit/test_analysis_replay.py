@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from companion.analysis.replay import law_of, replay
+from companion.analysis.replay import laws_of, replay
 from companion.cli import replay as command
 from companion.config.errors import UserError
 from companion.config.settings import load_settings
@@ -70,7 +70,7 @@ def test_repeated_steps_are_the_same_bits(tmp_path, controller):
 
 def test_the_law_is_rebuilt_from_the_log_alone(tmp_path):
     settings = load_settings(overrides=["flight.seed=9", "gains.position_loop.alpha=0.123"])
-    law = law_of(fly(tmp_path / "a.mcap", settings))
+    ((_, law),) = laws_of(fly(tmp_path / "a.mcap", settings))
     assert law.seed == 9 and law.parameters.position.alpha == 0.123 and law.level is ControlLevel.ATTITUDE
 
 

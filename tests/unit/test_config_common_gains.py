@@ -115,3 +115,10 @@ def test_torques_are_not_flown_on_guesses():
     with pytest.raises(UserError, match=r"inertia_kg_m2.*--profile"):
         load_settings(None, {"level": "actuator"})
     assert load_settings("qball2", {"level": "actuator"}).gains.position_loop.K_e[2] == 2.442
+
+
+def test_a_response_that_overshoots_counts_as_late_as_it_turns(written):
+    """ζ 0.5, ω 5 rad/s lags a ramp by 0.2 s only, but by 90° at 5 rad/s, where px4_sih does at 7.13 rad/s."""
+    lively = "[responses.px4]\ndead_time_s = 0.0\ntilt = { natural_frequency_rad_s = 5.0, damping = 0.5 }\n"
+    lag_s = total_lag_s(load_profile(written(lively)), ControlLevel.ATTITUDE, "px4")
+    assert lag_s == pytest.approx(0.2367 * 7.13 / 5.0, rel=2e-3)

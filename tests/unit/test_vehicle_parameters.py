@@ -24,13 +24,16 @@ def told(adapter, parameters, vehicle_type=2):
 
 
 def test_px4():
-    """The slower of roll and pitch counts: half the gain that was seen with ω 12 rad/s and 0.05 + 0.02 s of dead time."""
+    """The slower of roll and pitch counts: half the gain that was seen with 0.07 s of dead time and ω 12 rad/s.
+
+    In all 0.2367 + 0.66 (1/3.25 − 1/6.5) = 0.3382 s, 0.08 of it dead time.
+    """
     known = told(Px4(), PX4)
     assert known["hover_thrust"].value == 0.43 and len(known["rotors.layout"].value) == 6
     assert known["limits.tilt_max_deg"].value == 25.0
     assert known["limits.body_rate_max_deg_s"].value == [110.0, 220.0, 80.0]
-    assert known["responses.px4.tilt.natural_frequency_rad_s"].value == pytest.approx(6.0)
-    assert known["responses.px4.dead_time_s"].value == pytest.approx(0.12)
+    assert known["responses.px4.tilt.natural_frequency_rad_s"].value == pytest.approx(2.0 / 0.2582, rel=1e-3)
+    assert known["responses.px4.dead_time_s"].value == pytest.approx(0.08)
     assert "MC_PITCH_P 3.25" in known["responses.px4.dead_time_s"].source
 
 
@@ -81,10 +84,10 @@ def test_what_is_written_goes_before_what_is_told_and_each_says_where_it_is_from
     assert profile.mass_kg == 2.5 and profile.limits.tilt_max_deg == 15.0
     assert profile.hover_thrust == 0.43 and profile.lag_margin == 1.2
     assert profile.rotors.thrust_max_newton == pytest.approx(2.5 * 9.81 / 6 / 0.43)
-    # lag 0.12 + 2/6 s with a margin of 1.2; the common gains were found at 0.2367 s with K_e 4
-    assert settings.gains.position_loop.K_e[0] == pytest.approx(4 * 0.2367 / (1.2 * (0.12 + 2 / 6)), rel=2e-3)
+    # lag 0.3382 s with a margin of 1.2; the common gains were found at 0.2367 s with K_e 4
+    assert settings.gains.position_loop.K_e[0] == pytest.approx(4 * 0.2367 / (1.2 * 0.3382), rel=2e-3)
     rows = {row.key: row for row in provenance(settings, known, "px4")}
     assert rows["mass_kg"].source == "--set" and rows["mass_ratio"].source == "default"
     assert rows["hover_thrust"].source == "MPC_THR_HOVER 0.43"
-    assert "0.544 s" in rows["gains.position_loop"].source
-    assert math.isclose(rows["responses.px4.dead_time_s"].value, 0.12)
+    assert "0.406 s" in rows["gains.position_loop"].source
+    assert math.isclose(rows["responses.px4.dead_time_s"].value, 0.08)

@@ -1,0 +1,36 @@
+"""Without a profile the attitude loop's response is measured before tracking, flown by, said and logged; and replayed."""
+
+import pytest
+from stub_flights import fly_short
+
+from companion.analysis.identify import identify
+from companion.analysis.metrics import flight_metrics
+from companion.analysis.replay import laws_of, replay
+from companion.flight.outcome import Outcome
+from sitl_stub.stub_process import Stub
+
+VEHICLE = "random:1001"
+"""Its PX4 has MC_ROLL_P 2.82, and its attitude loop has not much more lag than that tells."""
+
+
+def test_a_slow_vehicle_is_measured_and_flown_by_it(tmp_path):
+    with Stub("px4", VEHICLE, seed=1, lockstep=True) as stub:
+        flown = fly_short(stub, tmp_path, profile=None, real_time=False, settings=["flight.duration_s=8"])
+    assert flown.result.outcome is Outcome.COMPLETED
+    last = flown.record.events_of("response")[-1].fields
+    (pitch,) = (axis for axis in identify(flown.record) if axis.axis == "pitch")
+    total_s = last["dead_time_s"] + 2.0 * last["damping"] / last["natural_frequency_rad_s"]
+    assert total_s == pytest.approx(pitch.lag_s, rel=0.15)
+    assert any(line.startswith("measured: attitude answers within") for line in flown.reporter.lines)
+    assert "measured in flight; within" in flown.record.metadata["vehicle"]["responses.px4.dead_time_s"]
+    before, *_, after = laws_of(flown.record)
+    assert tuple(before[1].parameters.attitude_lead) != tuple(after[1].parameters.attitude_lead)
+    assert replay(flown.record).exact
+    x, y, z = flight_metrics(flown.record)[0].get("rms", "position_estimate_m")
+    assert x < 0.06 and y < 0.06 and z < 0.06
+
+
+def test_a_response_that_was_written_is_flown_as_it_is(tmp_path):
+    with Stub("px4", seed=1, lockstep=True) as stub:
+        flown = fly_short(stub, tmp_path, real_time=False)
+    assert flown.record.events_of("response") == [] and len(laws_of(flown.record)) == 1
