@@ -41,13 +41,12 @@ class LiveReferences:
         live.on_heard = self._log_heard
         live.on_sampled = self._log_sampled
 
-    def stand_above(self, ground: Reference) -> None:
-        """Where to wait for the first point: above the place of take-off."""
-        up = np.array([0.0, 0.0, self._settings.takeoff_height_m])
+    def wait_at(self, rest: Reference, home_m: float) -> None:
+        """Where to wait for the first point, local ENU; heights of own axes count from `home_m`, that of the take-off."""
         if self._frame is Frame.TAKEOFF:
-            self._live.stand_at(up, 0.0)
+            self._live.stand_at(np.array([0.0, 0.0, float(rest.position_enu[2]) - home_m]), 0.0)
         else:
-            self._live.stand_at(ground.position_enu + up, ground.yaw_rad)
+            self._live.stand_at(rest.position_enu, rest.yaw_rad)
 
     def begin(self, leg: Leg, loop: ControlLoop, ground: Reference, limits: TransitLimits) -> None:
         """Tracking begins: follow what comes."""

@@ -48,7 +48,7 @@ from companion.mavlink.connection import Connection
 from companion.mavlink.link import mav
 from companion.mavlink.outside_poses import DEFAULT_RATE_HZ, OutsidePoses
 from companion.reference.feasibility import VehicleLimits, check_feasibility
-from companion.reference.trajectory import Frame, Trajectory
+from companion.reference.trajectory import Frame, Trajectory, told_in_flight
 
 _PACKAGES = ("dtlannc-companion", "numpy", "numba", "pymavlink", "mcap")
 
@@ -349,7 +349,8 @@ def _check_plan(settings: Settings, plan: FlightPlan, ground_m: float) -> None:
         height_min_m=ground_m + 0.1,
         height_max_m=ground_m + settings.flight.safety.fence.height_max_m,
     )
-    check_feasibility(leg.trajectory, limits, leg.duration_s).require(settings.flight.trajectory)
+    tracked_s = 1.0 if told_in_flight(leg.trajectory) else leg.duration_s
+    check_feasibility(leg.trajectory, limits, tracked_s).require(settings.flight.trajectory)
 
 
 @contextmanager

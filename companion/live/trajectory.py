@@ -77,6 +77,7 @@ class LiveTrajectory:
     """See the module. A `Trajectory` in the autopilot's local frame for MAVLink, in the axes of `--frame` otherwise."""
 
     duration_s = math.inf
+    told_in_flight = True
 
     def __init__(self, address: LiveAddress) -> None:
         self._address = address
