@@ -45,7 +45,7 @@ from companion.flight.standby import ENGAGE_PORT, Standby, StandbyFlight, Wishes
 from companion.flight.vehicle import Vehicle
 from companion.flightlog.law_channels import LATER_SETTINGS, LAW_TEXT
 from companion.flightlog.writer import FlightLog
-from companion.live.trajectory import PREFIX, LiveTrajectory, trajectory_or_live
+from companion.live.trajectory import LiveTrajectory, trajectory_or_live
 from companion.mavlink.bandwidth import LinePlan, describe, plan_line
 from companion.mavlink.connection import Connection
 from companion.mavlink.link import mav
@@ -420,10 +420,8 @@ def _check_plan(settings: Settings, plan: FlightPlan, ground_m: float) -> None:
         height_min_m=ground_m + 0.1,
         height_max_m=ground_m + settings.flight.safety.fence.height_max_m,
     )
-    live = settings.flight.trajectory.startswith(PREFIX)  # it stands still so far
-    check_feasibility(leg.trajectory, limits, 1.0 if live else leg.moves_s).require(
-        settings.flight.trajectory
-    )
+    # what is told in flight is checked as it comes
+    check_feasibility(leg.trajectory, limits, leg.moves_s).require(settings.flight.trajectory)
 
 
 @contextmanager

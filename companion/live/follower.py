@@ -104,11 +104,7 @@ class Follower:
             allowed: why a position (3,) m may not be flown to with an acceleration (3,) m/s²; empty when it may.
         """
         self._limits = limits
-        self._stop_limits = replace(
-            limits,
-            acceleration_m_s2=max(limits.acceleration_m_s2, STOP_M_S2),
-            jerk_m_s3=max(limits.jerk_m_s3, STOP_M_S3),
-        )
+        self._stop_limits = stop_limits(limits)
         self._silence_s = silence_s
         self._allowed = allowed
         self._clock = ClientClock()
@@ -160,6 +156,11 @@ class Follower:
                 self.heard_s = max(self.heard_s, arrived_s)
             raise
         self.counters["followed"] += 1
+
+    def forget_client(self) -> None:
+        """Another may be next, with a clock of its own; what is flown goes on."""
+        self._clock, self._newest_s, self._interval_s = ClientClock(), -math.inf, math.inf
+        self._forget()
 
     def _take_piece(self, asked: PolynomialPiece, arrived_s: float) -> float:
         """Put a piece behind those that are there; returns when it ends."""
@@ -377,6 +378,15 @@ class Follower:
     def _forget(self) -> None:
         """What came until now tells nothing of what comes next."""
         self._fit, self._fitted, self._last = FadingFit(), (), None
+
+
+def stop_limits(limits: TransitLimits) -> TransitLimits:
+    """Limits of the stop after a stream, whose points are refused where it would lead outside."""
+    return replace(
+        limits,
+        acceleration_m_s2=max(limits.acceleration_m_s2, STOP_M_S2),
+        jerk_m_s3=max(limits.jerk_m_s3, STOP_M_S3),
+    )
 
 
 _FACTORIALS = np.array([1.0, 1.0, 2.0, 6.0])

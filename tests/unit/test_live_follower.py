@@ -276,3 +276,17 @@ def test_nothing_that_can_come_in_makes_a_step(arrivals: list[tuple[float, Point
     )
     assert np.isfinite(p).all() and np.isfinite(v).all()
     assert np.abs(p[1:] - p[:-1] - STEP_S * (v[1:] + v[:-1]) / 2.0).max() < 0.05
+
+
+def test_a_client_with_another_clock_is_followed_once_the_first_is_gone() -> None:
+    """Its clock is 0.6 s behind the first one's: without forgetting that one, its points would be 0.6 s late for 5 s."""
+    follower = Follower(resting(np.zeros(3), 0.0), 0.0, LIMITS)
+    here = np.zeros(3)
+    for k in range(20):
+        follower.take(Point(100.0 + 0.02 * k, here, here), 1.0 + 0.02 * k)
+    other = [(Point(99.4 + 0.5 + 0.02 * k, here, here), 1.5 + 0.02 * k) for k in range(3)]
+    with pytest.raises(BadPoint):
+        follower.take(*other[0])
+    follower.forget_client()
+    for point, arrived_s in other[1:]:
+        follower.take(point, arrived_s)
