@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from companion.config.errors import UserError
+from companion.flightlog.writer import LIVE_NUMBERS
 from companion.live import sources
+from companion.live.heard import BEFORE_TRACKING, Heard
 from companion.live.json_points import LONGEST_BYTES
 from companion.live.mavlink_points import Surroundings
 from companion.live.sources import LineSource, UdpSource
@@ -163,3 +165,30 @@ def test_a_line_that_never_ends_is_given_once_and_the_next_is_whole(piped) -> No
     os.write(into, b"xxx\n" + POINT + b"\n")
     assert source.take() == POINT
     os.close(into)
+
+
+def test_what_was_heard_survives_the_log() -> None:
+    around = Surroundings(np.array([1.0, 2.0, 3.0]), 0.5, (47.0, 8.0, 400.0), -1.0, 7, True)
+    for heard in (
+        Heard(1.5, POINT, 12, around, np.array([0.1, 0.2, 0.3]), 0.4),
+        Heard(0.0, b"", BEFORE_TRACKING, Surroundings(None, 0.0, None, 0.0, None)),
+    ):
+        again = Heard.from_log(heard.time_s, heard.numbers(), heard.data)
+        assert len(heard.numbers()) == LIVE_NUMBERS
+        np.testing.assert_equal(again.numbers(), heard.numbers())
+        assert (again.around.position_enu is None) == (heard.around.position_enu is None)
+        assert (again.around.system, again.around.origin) == (heard.around.system, heard.around.origin)
+
+
+def test_a_point_after_an_estimator_reset_means_the_new_frame() -> None:
+    """The plan was moved by 0.5 m in x and turned by 0.2 rad with the frame, and moves what is made of points, too."""
+    live = trajectory_or_live("live:udp:14797")
+    assert isinstance(live, LiveTrajectory)
+    live.begin(Beginning(0.0, 0.0, TransitLimits(), 0.2, lambda p, a: ""))
+    moved = np.array([0.5, 0.0, 0.0])
+    for k in range(500):
+        data = b'{"position": [0.5, 0, 1], "velocity": [0, 0, 0], "yaw": 0.2}'
+        live.take(Heard(0.02 * k, data, moved_enu=moved, turned_rad=0.2))
+        now = live.sample(0.02 * k)
+    np.testing.assert_allclose(now.position_enu, [0.0, 0.0, 1.0], atol=1e-6)
+    assert now.yaw_rad == pytest.approx(0.0, abs=1e-6)
