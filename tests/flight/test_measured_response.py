@@ -12,6 +12,9 @@ from sitl_stub.stub_process import Stub
 VEHICLE = "random:1001"
 """Its PX4 has MC_ROLL_P 2.82, and its attitude loop has not much more lag than that tells."""
 
+DRAG_1_S = 0.2
+"""Of the body and of its rotors, per mass, as the stub drew them."""
+
 
 def test_a_slow_vehicle_is_measured_and_flown_by_it(tmp_path):
     with Stub("px4", VEHICLE, seed=1, lockstep=True) as stub:
@@ -22,6 +25,8 @@ def test_a_slow_vehicle_is_measured_and_flown_by_it(tmp_path):
     total_s = last["dead_time_s"] + 2.0 * last["damping"] / last["natural_frequency_rad_s"]
     assert total_s == pytest.approx(pitch.lag_s, rel=0.15)
     assert any(line.startswith("measured: attitude answers within") for line in flown.reporter.lines)
+    drag = flown.record.events_of("drag")[-1].fields
+    assert drag["drag_1_s"] == pytest.approx(DRAG_1_S, abs=2.5 * drag["deviation"])
     assert "measured in flight; within" in flown.record.metadata["vehicle"]["responses.px4.dead_time_s"]
     before, *_, after = laws_of(flown.record)
     assert tuple(before[1].parameters.attitude_lead) != tuple(after[1].parameters.attitude_lead)
@@ -33,4 +38,5 @@ def test_a_slow_vehicle_is_measured_and_flown_by_it(tmp_path):
 def test_a_response_that_was_written_is_flown_as_it_is(tmp_path):
     with Stub("px4", seed=1, lockstep=True) as stub:
         flown = fly_short(stub, tmp_path, real_time=False)
-    assert flown.record.events_of("response") == [] and len(laws_of(flown.record)) == 1
+    assert flown.record.events_of("response") == flown.record.events_of("drag") == []
+    assert len(laws_of(flown.record)) == 1
