@@ -19,6 +19,7 @@ COMMANDS = (
     "analyze",
     "compare",
     "identify",
+    "adopt",
     "replay",
     "recover",
     "export",

@@ -277,14 +277,13 @@ def _control_loop(
     loop = ControlLoop(vehicle, law, predictor, thrust, estimator, settings.flight, recorder, gate)
     given = settings.given
     if given is not None:  # what somebody wrote is flown as it is
-        free = settings.level is not ControlLevel.ACTUATOR and not is_given(
+        answers = settings.level is ControlLevel.ATTITUDE and not is_given(
             given, f"responses.{adapter.profile_key}"
         )
+        drags = settings.level is not ControlLevel.ACTUATOR and not is_given(given, "drag_kg_s")
         loop.measure(
-            AttitudeResponseMeter(response.dead_time_s, response.tilt)
-            if free and settings.level is ControlLevel.ATTITUDE
-            else None,
-            DragMeter() if free and not is_given(given, "drag_kg_s") else None,
+            AttitudeResponseMeter(response.dead_time_s, response.tilt) if answers else None,
+            DragMeter() if drags else None,
         )
     return loop
 
