@@ -78,6 +78,12 @@ def parser() -> argparse.ArgumentParser:
         metavar="S",
         help="simulated time until ready to fly (default as the firmware: 1 s, PX4 with GPS 4.2 s, ArduPilot 42 s)",
     )
+    vehicle.add_argument(
+        "--airborne",
+        type=float,
+        metavar="HEIGHT",
+        help="begin in the air: armed, in the autopilot's own hold (AUTO.LOITER or LOITER), so many metres up",
+    )
     links = parser.add_argument_group("links (default: --udp 127.0.0.1:14540@14580 and ground station 14550)")
     links.add_argument(
         "--udp",
@@ -155,6 +161,8 @@ def numbers(options: argparse.Namespace) -> tuple[float, float, dict[str, float]
         raise Refusal(f"--ready-after {options.ready_after}: give seconds from 0 to 3600")
     if options.seed < 0:
         raise Refusal(f"--seed {options.seed}: must not be negative")
+    if options.airborne is not None and not 0.5 <= options.airborne <= 100.0:
+        raise Refusal(f"--airborne {options.airborne}: give metres from 0.5 to 100")
     return parts[0], parts[1] if len(parts) > 1 else 0.0, parameters
 
 

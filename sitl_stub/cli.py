@@ -171,6 +171,8 @@ def main(arguments: list[str] | None = None) -> int:
             # a client that had heard a HEARTBEAT would take the silence for a lost link.
             _build(options, vehicle, mean, gust, parameters).step()
         autopilot = _build(options, vehicle, mean, gust, parameters)
+        if options.airborne is not None:
+            autopilot.take_off_alone(options.airborne)
         _direct_faults(options, scenario, vehicle, server, autopilot)
         serving.set()
     except _Stopped:

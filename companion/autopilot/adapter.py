@@ -80,8 +80,9 @@ class Finding:
     fix: tuple[str, float] | None = None  # (parameter, value) that is safe to set for the flight
 
 
-RATES_HELD_S = 0.5
-"""How long the last body rates or torques of a companion that has died may be held: a turn at 1 rad/s is then 30°."""
+RATES_HELD_S, TORQUES_HELD_S = 0.5, 0.2
+"""How long the last body rates (a turn at 1 rad/s is then 30°) or torques (which quicken a turn: 10 rad/s² are then 11°)
+of a companion that has died may be held."""
 
 
 def held_setpoint(name: str, held_s: float, longest_s: float, remedy: str, level: ControlLevel) -> Finding:
@@ -96,7 +97,7 @@ def held_setpoint(name: str, held_s: float, longest_s: float, remedy: str, level
     """
     wanted_s, why = min(1.0, longest_s), "a dead companion is noticed this late only"
     if level is not ControlLevel.ATTITUDE:
-        longest_s = wanted_s = RATES_HELD_S
+        longest_s = wanted_s = RATES_HELD_S if level is ControlLevel.BODY_RATE else TORQUES_HELD_S
         why = (
             "when the companion dies its last rates or torques are held for so long: the vehicle may tip over"
         )
@@ -116,6 +117,8 @@ class Intent(enum.Enum):
     """The autopilot lands where it is."""
     HOLD = "hold"
     """The autopilot holds its position: PX4 AUTO.LOITER, ArduPilot BRAKE (LOITER needs sticks), without GPS ALT_HOLD."""
+    RETURN = "return"
+    """The autopilot returns to its home and lands there: PX4 AUTO.RTL, ArduPilot RTL. Not to be had without GPS."""
 
 
 @dataclass(slots=True)
@@ -202,6 +205,8 @@ class Adapter(ABC):
     """Whether SYS_STATUS' attitude estimate is unhealthy when any part of the estimator is."""
     prearm_bit_counts: bool
     """Whether SYS_STATUS' pre-arm bit must be set before our mode is entered (on PX4 it is the current mode's)."""
+    wants_setpoints_first: bool
+    """Whether setpoints have to come in before our mode is entered, in the air too (PX4)."""
     spool_time_s: float
     """From arming until positive thrust turns into thrust."""
     bytewise_parameters: bool
@@ -216,6 +221,10 @@ class Adapter(ABC):
     @abstractmethod
     def mode(self, intent: Intent) -> Command:
         """The MAV_CMD_DO_SET_MODE that asks for `intent`."""
+
+    def has_mode(self, intent: Intent) -> bool:
+        """Whether there is a mode for `intent`."""
+        return True
 
     @abstractmethod
     def mode_name(self, custom_mode: int) -> str:

@@ -31,7 +31,7 @@ EXTERNAL_NAVIGATION = 6.0
 _GPS_TYPE = ("GPS1_TYPE", "GPS_TYPE")
 """The parameter that says which GPS there is, 0 none; the second name until 4.5."""
 
-_MODES = {Intent.EXTERNAL: 4, Intent.LAND: 9, Intent.HOLD: 17}
+_MODES = {Intent.EXTERNAL: 4, Intent.LAND: 9, Intent.HOLD: 17, Intent.RETURN: 6}
 _MODES_NO_GPS = {Intent.EXTERNAL: 20, Intent.LAND: 9, Intent.HOLD: 2}
 _NAMES = {
     0: "STABILIZE", 1: "ACRO", 2: "ALT_HOLD", 3: "AUTO", 4: "GUIDED", 5: "LOITER", 6: "RTL", 7: "CIRCLE", 9: "LAND",
@@ -49,6 +49,7 @@ class ArduPilot(Adapter):
     estimator_message_id = mav.MAVLINK_MSG_ID_EKF_STATUS_REPORT
     ahrs_tells_estimator = True  # AP_AHRS::healthy
     prearm_bit_counts = True
+    wants_setpoints_first = False
     spool_time_s = 2.5  # 2 s arming delay and 0.5 s spool-up
     takes_local_ned_odometry = False
     bytewise_parameters = False
@@ -60,13 +61,17 @@ class ArduPilot(Adapter):
         """See `Adapter.mode`."""
         return Command(mav.MAV_CMD_DO_SET_MODE, (1.0, float(self.modes[intent])), f"mode {intent.value}")
 
+    def has_mode(self, intent: Intent) -> bool:
+        """See `Adapter.has_mode`."""
+        return intent in self.modes
+
     def mode_name(self, custom_mode: int) -> str:
         """See `Adapter.mode_name`."""
         return _NAMES.get(custom_mode, f"mode {custom_mode}")
 
     def is_mode(self, custom_mode: int, intent: Intent) -> bool:
         """See `Adapter.is_mode`."""
-        return custom_mode == self.modes[intent]
+        return custom_mode == self.modes.get(intent)
 
     def parameters_needed(self) -> tuple[str, ...]:
         """See `Adapter.parameters_needed`."""

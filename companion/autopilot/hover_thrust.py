@@ -24,7 +24,7 @@ ACCELERATION_NOISE_M_S2 = 0.6
 FIRST_UNCERTAINTY = 0.25
 """Of the first value, relative: parameters are wrong by this much now and then."""
 TRUST = 1.6
-"""Bounds: first value, and that of the lift-off, divided by and multiplied by this."""
+"""Bounds: first value, and that of the lift-off or of hovering, divided by and multiplied by this."""
 FURTHEST = 2.5
 """A lift-off that tells a value farther than this from the first, as a factor, is not believed that far."""
 CONTRADICTED = 1.35
@@ -33,6 +33,8 @@ GUESS_UNCERTAINTY = 0.6
 """… and weighs as one, relative."""
 LIFT_OFF_UNCERTAINTY = 0.1
 """Of the value read off a lift-off, relative: ground effect, the estimator's delay."""
+HOVERING_UNCERTAINTY = 0.03
+"""Of the value read off the autopilot's own hovering, relative: what a second of it leaves of gusts."""
 GATE = 4.0
 """Innovations beyond this many standard deviations are not believed."""
 PERSISTS_S = 1.0
@@ -89,11 +91,19 @@ class HoverThrustEstimator:
         b = math.sqrt(2.0 * max(velocity_up_m_s, 0.0) * slope_1_s / GRAVITY)
         root = 0.5 * (math.sqrt(b * b + 4.0 * max(thrust - slope_1_s * lag_s, 0.0)) - b)
         if root > 0.0:
-            hover = min(self._first * FURTHEST, max(self._first / FURTHEST, root * root))
-            self._least, self._most = min(self._least, hover / TRUST), max(self._most, hover * TRUST)
-            if not 1.0 / CONTRADICTED < hover / self._first < CONTRADICTED:
-                self._variance = (GUESS_UNCERTAINTY * self._slope) ** 2
-            self._weigh(GRAVITY, hover, LIFT_OFF_UNCERTAINTY * GRAVITY)
+            self._take(root * root, LIFT_OFF_UNCERTAINTY)
+
+    def hovered(self, thrust: float) -> None:
+        """Take the thrust at which the autopilot itself keeps the vehicle at its height (ATTITUDE_TARGET)."""
+        self._take(thrust, HOVERING_UNCERTAINTY)
+
+    def _take(self, told: float, uncertainty: float) -> None:
+        """Hover thrust that the vehicle itself has shown, with its relative standard deviation."""
+        hover = min(self._first * FURTHEST, max(self._first / FURTHEST, told))
+        self._least, self._most = min(self._least, hover / TRUST), max(self._most, hover * TRUST)
+        if not 1.0 / CONTRADICTED < hover / self._first < CONTRADICTED:
+            self._variance = (GUESS_UNCERTAINTY * self._slope) ** 2
+        self._weigh(GRAVITY, hover, uncertainty * GRAVITY)
 
     def update(self, time_s: float, velocity_up_m_s: float, cos_tilt: float, trusted: bool) -> None:
         """Take a state.

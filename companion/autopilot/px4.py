@@ -26,6 +26,7 @@ _MODES = {
     Intent.EXTERNAL: (MAIN_OFFBOARD, 0),
     Intent.LAND: (MAIN_AUTO, SUB_LAND),
     Intent.HOLD: (MAIN_AUTO, SUB_LOITER),
+    Intent.RETURN: (MAIN_AUTO, SUB_RTL),
 }
 _MAIN_NAMES = {
     1: "MANUAL",
@@ -74,6 +75,7 @@ class Px4(Adapter):
     estimator_message_id = mav.MAVLINK_MSG_ID_ESTIMATOR_STATUS
     ahrs_tells_estimator = False  # it says nothing of position
     prearm_bit_counts = False
+    wants_setpoints_first = True
     spool_time_s = 1.0  # COM_SPOOLUP_TIME
     takes_local_ned_odometry = True
     bytewise_parameters = True

@@ -20,12 +20,15 @@ from companion.control.laws import LAWS, load_law_file
 if TYPE_CHECKING:
     from companion.mavlink.connection import Connection
 
+USUAL_TRACKING_S = 40.0
+LONGEST_LIVE_S = 3600.0
 EPILOG = """examples:
   companion fly --sitl px4                                     the bundled stub, as fast as it goes
   companion fly --sitl px4 --real-time --controller tlmbc      the same in real time, another law
   companion fly --endpoint udpin:0.0.0.0:14540                 any PX4 multirotor, here its own simulation
   companion fly --endpoint tcp:127.0.0.1:5760 --fix            any ArduCopter
   companion fly --endpoint /dev/ttyACM0,921600 --profile my_drone.toml --trajectory hover
+  companion fly --endpoint /dev/ttyACM0,921600 --from-air      a vehicle that hovers already
   companion fly --sitl px4 --sitl-options "--vehicle random:7" a vehicle that nobody has written a profile for
 
 Ctrl-C lands; a second Ctrl-C hands back to the autopilot at once. A vehicle that is not a simulation is armed by
@@ -81,13 +84,19 @@ def add_flight_options(parser: argparse.ArgumentParser, required: bool = True) -
         "--level", default="attitude", choices=("attitude", "body_rate", "actuator"), help="what is sent"
     )
     parser.add_argument(
-        "--trajectory", default="lemniscate", metavar="NAME|FILE", help="see docs/trajectories.md"
+        "--trajectory",
+        default="lemniscate",
+        metavar="NAME|FILE",
+        help="see docs/trajectories.md; live:udp:PORT, live:mavlink:PORT, live:stdin: docs/live_references.md",
     )
     parser.add_argument(
         "--frame", default="takeoff", choices=("takeoff", "local"), help="where the trajectory is laid out"
     )
     parser.add_argument(
-        "--duration", type=float, default=40.0, metavar="S", help="tracking time (default 40)"
+        "--duration",
+        type=float,
+        metavar="S",
+        help="tracking time, s (default 40; a mission whole; live references until they end, an hour at most)",
     )
     parser.add_argument(
         "--profile",
@@ -109,6 +118,16 @@ def add_flight_options(parser: argparse.ArgumentParser, required: bool = True) -
     )
     parser.add_argument(
         "--pose-rate", type=float, default=50.0, metavar="HZ", help="forward so many at most (default 50)"
+    )
+    parser.add_argument(
+        "--from-air",
+        action="store_true",
+        help="begin in the air: the vehicle hovers already, under its pilot or its autopilot (docs/in_the_air.md)",
+    )
+    parser.add_argument(
+        "--then",
+        choices=("hold", "land", "return"),
+        help="what the autopilot does once the plan is flown (default: hold with --from-air, else land)",
     )
     parser.add_argument("--arm", action="store_true", help="let the companion arm a real vehicle")
     parser.add_argument("--wait-for-offboard", action="store_true", help="leave the mode switch to the pilot")
@@ -151,14 +170,25 @@ def connection_from(arguments: argparse.Namespace, address: str) -> Connection:
 
 def pose_address(text: str | None, option: str = "--outside-poses") -> tuple[str, int] | None:
     """`[HOST:]PORT`; without a host this machine only. Raises UserError for anything else."""
-    from companion.mavlink.endpoint import checked_host
+    from companion.mavlink.endpoint import host_and_port
 
-    if text is None:
-        return None
-    host, _, port = text.rpartition(":")
-    if not port.isdecimal() or not 0 < int(port) < 65536:
-        raise UserError(f"{option} {text!r}: not [HOST:]PORT; use for example 0.0.0.0:14600")
-    return checked_host(f"{option} {text!r}", host) or "127.0.0.1", int(port)
+    return None if text is None else host_and_port(text, option)
+
+
+def tracking_time(arguments: argparse.Namespace) -> float:
+    """How long is tracked, s: as asked, and else as long as the trajectory needs.
+
+    Raises UserError for a trajectory that is none: it is told before anything is started.
+    """
+    from companion.live.trajectory import LiveTrajectory, trajectory_or_live
+    from companion.reference.mission import Mission
+
+    trajectory = trajectory_or_live(arguments.trajectory)
+    if arguments.duration is not None:
+        return float(arguments.duration)
+    if isinstance(trajectory, Mission):
+        return max(USUAL_TRACKING_S, trajectory.duration_s + 60.0)
+    return LONGEST_LIVE_S if isinstance(trajectory, LiveTrajectory) else USUAL_TRACKING_S
 
 
 def _pose_rate(rate_hz: float) -> float:
@@ -247,11 +277,11 @@ def fly_once(
     arguments: argparse.Namespace, controller: str, seed: int, log_path: Path, overwrite: bool
 ) -> tuple[str, str, int]:
     """One flight with the shared options; returns outcome, text and exit code."""
+    from companion.autopilot.adapter import Intent
     from companion.cli.console import ConsoleReporter
-    from companion.cli.sitl import FIRMWARES, STUB_PATIENCE, running_stub
+    from companion.cli.sitl import FIRMWARES, STUB_PATIENCE, airborne, running_stub
     from companion.config.settings import load_settings
     from companion.flight.session import SessionOptions, fly
-    from companion.reference.registry import trajectory_from_text
 
     law_text = ""
     if controller.endswith(".py"):
@@ -266,17 +296,19 @@ def fly_once(
             "trajectory": arguments.trajectory,
             "layout": arguments.frame,
             "seed": seed,
-            "duration_s": arguments.duration,
+            "duration_s": tracking_time(arguments),
         },
         ([STUB_PATIENCE] if arguments.sitl else []) + arguments.overrides,
     )
-    trajectory_from_text(arguments.trajectory)  # a wrong one is told before anything is started
+    if arguments.from_air and arguments.fix:
+        raise UserError("--fix sets parameters on the ground: run `companion check --fix` before the flight")
     if arguments.sitl and arguments.sitl not in FIRMWARES:
         raise UserError(f"--sitl {arguments.sitl}: the bundled stub has {', '.join(FIRMWARES)}")
     reporter = ConsoleReporter()
     if arguments.sitl:
         reporter.say("starting the bundled stub; the first time on a machine it compiles for up to a minute")
-    stub_words = shlex.split(arguments.sitl_options) + ([] if arguments.real_time else ["--lockstep"])
+    stub_words = [*(airborne(arguments.sitl) if arguments.sitl and arguments.from_air else ())]
+    stub_words += shlex.split(arguments.sitl_options) + ([] if arguments.real_time else ["--lockstep"])
     simulator = (
         running_stub(arguments.sitl, seed, stub_words) if arguments.sitl else nullcontext(arguments.endpoint)
     )
@@ -290,6 +322,8 @@ def fly_once(
             may_arm=arguments.arm,
             fix=arguments.fix,
             wait_for_offboard=arguments.wait_for_offboard,
+            from_air=arguments.from_air,
+            then=Intent(arguments.then or ("hold" if arguments.from_air else "land")),
             real_time=not arguments.sitl or arguments.real_time,
             command_line=shlex.join(sys.argv),
             outside_poses=pose_address(arguments.outside_poses),

@@ -10,6 +10,7 @@ import errno
 import io
 import os
 import queue
+import signal
 import sys
 import threading
 from collections.abc import Iterator
@@ -155,6 +156,7 @@ def _interrupt_again(unraisable: sys.UnraisableHookArgs) -> None:
     if unraisable.exc_type is not KeyboardInterrupt:
         sys.__unraisablehook__(unraisable)
         return
-    import _thread
-
-    threading.Timer(_INTERRUPTED_AGAIN_S, _thread.interrupt_main).start()
+    # to the main thread itself, whose waiting then ends
+    main_thread = threading.main_thread().ident
+    assert main_thread is not None
+    threading.Timer(_INTERRUPTED_AGAIN_S, signal.pthread_kill, (main_thread, signal.SIGINT)).start()

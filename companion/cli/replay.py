@@ -10,7 +10,8 @@ from typing import Any
 EXAMPLE = """example:
   companion replay flights/flight.mcap
 
-Exit code 0 when every step gives the logged bits, 1 when one does not.
+Exit code 0 when every step gives the logged bits, 1 when one does not. References of another program are made again
+from what it sent, too.
 """
 
 
@@ -34,12 +35,14 @@ def add_parser(subparsers: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Replay and say what came out. Raises UserError where the log does not hold what a replay needs."""
+    from companion.analysis.live_replay import replay_references
     from companion.analysis.replay import laws_of, replay
     from companion.flightlog.reader import read_log
 
     record = read_log(arguments.log)
     law_file = Path(arguments.law) if arguments.law else None
     found = replay(record, laws_of(record, law_file, arguments.run_law_in_log))
+    references = replay_references(record)
     if arguments.json:
         mismatches = [
             {"step": item.step, "time_s": item.time_s, "fields": item.fields} for item in found.mismatches
@@ -51,6 +54,8 @@ def run(arguments: argparse.Namespace) -> int:
             "hand_overs": found.hand_overs,
             "mismatches": mismatches,
         }
+        if references is not None:
+            body["references"] = {"sampled": references[0], "identical": references[1]}
         print(json.dumps(body, indent=2))
     else:
         print(
@@ -60,4 +65,9 @@ def run(arguments: argparse.Namespace) -> int:
             print(
                 f"  step {item.step} at {item.time_s:.3f} s: {', '.join(item.fields)} (by {item.largest:.3g})"
             )
-    return 0 if found.exact else 1
+        if references is not None:
+            print(
+                f"{references[1]} of {references[0]} references give the same bits from what the client sent"
+            )
+    same = references is None or references[0] == references[1]
+    return 0 if found.exact and same else 1

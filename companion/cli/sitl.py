@@ -21,6 +21,13 @@ STUB_PROFILES = {"px4": "qball2", "px4-1.13": "qball2", "ardupilot": "arducopter
 """Profiles of the vehicles that the stub flies where nobody chooses one, with the report's m̂ = 70 %."""
 STUB_PATIENCE = "flight.procedure.connect_timeout_s=300"
 """Setting for a flight against the stub: on a new machine it compiles before its first HEARTBEAT."""
+AIRBORNE = ("--airborne", "2", "--param", "GUID_OPTIONS=8", "--param", "ATC_ANGLE_BOOST=0")
+"""Options of a stub that hovers already; parameters of a vehicle that flies are not set, so an ArduCopter has them so."""
+
+
+def airborne(firmware: str) -> Sequence[str]:
+    """Options for a stub of `firmware` (one of FIRMWARES) that hovers already."""
+    return AIRBORNE if firmware == "ardupilot" else AIRBORNE[:2]
 
 
 @contextmanager

@@ -12,10 +12,7 @@ _BEGINNINGS: tuple[tuple[bytes, str], ...] = (
     (b"\x1f\x8b", "a gzip archive; unpack it first"),
     (b"PK\x03\x04", "a zip archive (or a spreadsheet); unpack it, or export it as CSV"),
     (b"\x89MCAP0\r\n", "an MCAP log; look at it with `companion analyze`"),
-    (
-        b"QGC WPL",
-        "a MAVLink mission (waypoints of latitude and longitude), which the autopilot flies by itself",
-    ),
+    (b"QGC WPL", "a MAVLink mission: fly it with `companion fly --trajectory`"),
 )
 _PARAMETERS = "a file of autopilot parameters: load it into the autopilot with your ground station"
 _ENDINGS = {
@@ -23,7 +20,7 @@ _ENDINGS = {
     ".params": _PARAMETERS,
     ".parm": _PARAMETERS,
     ".param": _PARAMETERS,
-    ".plan": "a QGroundControl plan (latitude and longitude), which the autopilot flies by itself in its mission mode",
+    ".plan": "a QGroundControl plan: fly it with `companion fly --trajectory`",
     ".waypoints": _BEGINNINGS[-1][1],
     ".mission": _BEGINNINGS[-1][1],
     ".tlog": "a telemetry log of MAVLink; this program writes such files (`companion export`), it reads MCAP",

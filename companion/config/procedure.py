@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from pydantic import Field
 
 from companion.config.model import NotNegative, Positive, SettingsModel
@@ -18,6 +20,10 @@ class Procedure(SettingsModel):
     """For the pilot to arm or to switch, where that is theirs, s."""
     prove_s: float = Field(default=1.5, ge=1.0)
     """Idle setpoints before the mode change, s; PX4 wants to have seen them for 1 s."""
+    engage_speed_m_s: Positive = 3.0
+    """Speed beyond which we do not engage in the air, m/s."""
+    engage_tilt_deg: Positive = 20.0
+    """Tilt beyond which we do not engage in the air, degrees."""
     lift_off_start: float = Field(default=0.3, ge=0.0, lt=1.0)
     """Thrust at which the rise to lift-off begins, in hover thrusts."""
     lift_off_rate: Positive = 0.5
@@ -40,3 +46,14 @@ class Procedure(SettingsModel):
     """Jerk limit likewise, m/s³."""
     land_timeout_s: Positive = 60.0
     """For the autopilot to land and disarm, s."""
+
+
+class LiveReferences(SettingsModel):
+    """Following references that another program sends (`--trajectory live:…`)."""
+
+    silence_s: float = Field(default=0.2, ge=0.05, le=2.0)
+    """Without a point for so long, the motion is brought to rest and held, autopilot's time, s."""
+    lost_s: Positive = 3.0
+    """Without a point for so long, nobody is there any more, autopilot's time, s."""
+    lost: Literal["land", "hand_back"] = "land"
+    """What follows then: the vehicle is landed where it is, or handed back to the autopilot, which holds."""

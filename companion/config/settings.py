@@ -12,7 +12,7 @@ from companion.config.errors import UserError
 from companion.config.gains import ControllerGains
 from companion.config.load import apply_overrides, find_profile, nearest, parse_override, read_toml, validated
 from companion.config.model import Positive, SettingsModel
-from companion.config.procedure import Procedure
+from companion.config.procedure import LiveReferences, Procedure
 from companion.config.profile import LevelName, VehicleProfile
 from companion.config.resolve import Override, profile_values, require_torque_numbers
 from companion.config.safety import SafetyLimits
@@ -47,6 +47,8 @@ class FlightSettings(SettingsModel):
     """Height above the take-off point before tracking."""
     procedure: Procedure = Procedure()
     """Waiting times, lift-off, the way to the trajectory and back."""
+    live: LiveReferences = LiveReferences()
+    """What becomes of references that stop coming."""
     safety: SafetyLimits = SafetyLimits()
     """What the supervisor watches, and what it does."""
 

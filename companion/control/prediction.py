@@ -236,6 +236,13 @@ class Predictor:
         if carried > 0.3 * self._mass:  # idle on the ground carries nothing
             self._mass += -math.expm1(-min(dt, 0.1) / self.CARRYING_TIME_S) * (carried - self._mass)
 
+    def hovering(self, time_s: float, quaternion_wxyz: Vector, thrust_newton: float) -> None:
+        """Begin anew with a vehicle that somebody else has kept at this attitude (4,) with this thrust."""
+        w, x, y, z = quaternion_wxyz.tolist()
+        self._ring[0] = (time_s - self.CARRYING_TIME_S, thrust_newton, w, x, y, z, *(0.0,) * 6)
+        self._count = 1
+        self._mass = thrust_newton * (1.0 - 2.0 * (x * x + y * y)) / self._gravity
+
     def _forget_oldest(self) -> None:
         """Let the ring begin one row later; at the end of the rows that are there it moves back to their beginning."""
         self._first += 1

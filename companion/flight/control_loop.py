@@ -162,6 +162,11 @@ class ControlLoop:
         state = self._vehicle.state
         return state.time_s - self._plan_started_s if state is not None else 0.0
 
+    @property
+    def moved(self) -> tuple[Vector, float]:
+        """By how much the plan was moved, (3,) m, and turned, rad, with the estimator's frame since it began."""
+        return _NO_JUMP if self._shift_enu is None else self._shift_enu, self._shift_yaw_rad
+
     # Changing over --------------------------------------------------------------------------------------
 
     def note_link(self, streams: list[StreamFigures], timesync: TimeSync) -> None:
@@ -196,16 +201,36 @@ class ControlLoop:
 
         What lifted the vehicle off is more than that: kept, it would go on accelerating it.
         """
+        rise_1_s = self._settings.procedure.lift_off_rate * self._sender.thrust.hover_thrust
+        self._hover.lifted_off(self.lift_off_thrust, rise_1_s, float(state.velocity_enu[2]))
+        self._begin(plan, state, state)
+
+    def hover(self, quaternion_wxyz: Vector, thrust: float) -> None:
+        """Send what keeps a hovering vehicle as it is: attitude (4,), and the thrust it hovers with (0..1)."""
+        self._level_quaternion = quaternion_wxyz
+        if math.isfinite(thrust):
+            self._sender.thrust = replace(self._sender.thrust, hover_thrust=thrust)
+        self.activity = Activity.LEVEL
+
+    def take_on(self, plan: FlightPlan, state: VehicleState, watching: Watching) -> None:
+        """Hand over to the control law in the air: it goes on from what `hover` was told last."""
+        self._watching = watching
+        self._sender.watchdog, self._sender.last_sent_s = watching.watchdog, state.time_s
+        self._hover.hovered(self._sender.thrust.hover_thrust)
+        scale = self._sender.thrust
+        self._predictor.hovering(state.time_s, self._level_quaternion, scale.newton(scale.hover_thrust))
+        self._begin(plan, state, self._predictor.predict(state))
+
+    def _begin(self, plan: FlightPlan, state: VehicleState, seen: VehicleState) -> None:
+        """Follow `plan` from `state` on; the law takes over at the state `seen`, which it would be shown next."""
         self._plan, self._plan_started_s = plan, state.time_s
         self._shift_enu, self._shift_yaw_rad = None, 0.0
         self._jump_enu = None
-        rise_1_s = self._settings.procedure.lift_off_rate * self._sender.thrust.hover_thrust
-        self._hover.lifted_off(self.lift_off_thrust, rise_1_s, float(state.velocity_enu[2]))
         self._sender.thrust = replace(self._sender.thrust, hover_thrust=self._hover.hover_thrust)
         self._memory = self._law.take_over(
             self._memory,
-            state,
-            plan.sample(0.0),
+            seen,
+            plan.sample(seen.time_s - state.time_s),
             self._sender.thrust.newton(self._sender.thrust.hover_thrust),
             self._level_quaternion,
         )

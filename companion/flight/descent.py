@@ -100,6 +100,8 @@ class Descent:
             return self._stop_motors(end)
         if isinstance(end, HandedBack):
             return self._hand_back(end, str(end))
+        if isinstance(end, PlanFlown) and stage.then is not Intent.LAND:
+            return self._leave_flying(end)
         how = self.land(end)
         if isinstance(end, PlanFlown):
             if self._interrupted is not None:
@@ -317,6 +319,14 @@ class Descent:
         """Nothing is waited for but that our mode is left: what follows is the autopilot's."""
         self._hold_or_land(lambda: self._note(end))
         return FlightResult(end.outcome, text)
+
+    def _leave_flying(self, end: FlightEnd) -> FlightResult:
+        """The plan is flown, and the autopilot flies on as was asked for; a hold where it does not take that."""
+        vehicle, stage = self._vehicle, self._stage
+        if not self._leave(stage.then, HOLD_FOR_S):
+            self._hold_or_land(lambda: None)
+        mode = vehicle.adapter.mode_name(vehicle.status.custom_mode)
+        return FlightResult(end.outcome, f"flown as planned, handed back in {mode}")
 
     def _hold_or_land(self, said: Callable[[], None]) -> None:
         """A hold, or where that is not to be had a landing. Raises NobodyHasIt when neither is taken."""

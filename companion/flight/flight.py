@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import traceback
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
@@ -18,6 +19,7 @@ from companion.flight.descent import Descent
 from companion.flight.fence import require_inside
 from companion.flight.journal import Journal
 from companion.flight.lift_off import LiftOffDetector
+from companion.flight.live_references import BEYOND_END_S, LiveReferences
 from companion.flight.outcome import (
     Aborted,
     FlightEnd,
@@ -31,7 +33,7 @@ from companion.flight.outcome import (
 )
 from companion.flight.phases import Phase
 from companion.flight.pilot import Pilot
-from companion.flight.plan import FlightPlan, lay_out
+from companion.flight.plan import FlightPlan, Leg, lay_out
 from companion.flight.preflight import Preflight, require
 from companion.flight.realtime import LoopWatchdog
 from companion.flight.recorder import Recorder
@@ -40,7 +42,9 @@ from companion.flight.stage import FlightRequest, FlightResult, Interrupts, Stag
 from companion.flight.supervisor import Supervisor, law_bounds
 from companion.flight.vehicle import HANDLED, LANDED_STATE_HOLDS_S, Vehicle
 from companion.flightlog.reactions import in_words, reaction_times
+from companion.live.trajectory import LiveTrajectory
 from companion.mavlink.link import Message, mav
+from companion.reference.mission import Mission
 from companion.reference.trajectory import Frame, Placed, Trajectory, place
 from companion.reference.transit import TransitLimits
 
@@ -58,6 +62,9 @@ REAL_TIME_TOLERANCE = 0.02  # of the time passed: a lockstep simulation runs at 
 class Flight:
     """See the module. `make_loop` builds the control loop once the autopilot is known, `use_measured` changes its gains
     for what the flight has shown by the time it is to track."""
+
+    begins_in_air = False
+    """Whether the vehicle flies already: parameters are left alone then."""
 
     def __init__(
         self,
@@ -83,7 +90,10 @@ class Flight:
         self._check_plan = check_plan
         self._use_measured = use_measured
         self._loop: ControlLoop
-        self._stage = Stage(vehicle, recorder, reporter)
+        self._ground_left: Reference  # where it stood when it was armed
+        self._stage = Stage(vehicle, recorder, reporter, then=request.then)
+        live = request.trajectory if isinstance(request.trajectory, LiveTrajectory) else None
+        self._live = LiveReferences(self._stage, settings, live, request.frame) if live is not None else None
         self._descent = Descent(self._stage, settings)
         self._journal = Journal(self._stage, settings.procedure.connect_timeout_s, settings.safety)
         self._armed_by_now = False  # we count on it
@@ -119,21 +129,26 @@ class Flight:
         except UserError as error:
             self._write_down(self._descent.end(Refused(str(error))))
             raise
-        except Exception as error:  # a mistake of ours must not leave a vehicle in the air
-            result = self._write_down(self._descent.end(Aborted(f"mistake in this program: {error!r}")))
-            self._reporter.say(f"{result.outcome.value}: {result.text}")
-            raise
+        except Exception as error:
+            # A mistake of ours, or of somebody's law, must not leave a vehicle in the air; table, JSON and log stand.
+            result = self._descent.end(Aborted(f"mistake in this program: {error!r}"))
+            where = traceback.format_exc()
+            self._recorder.log.event("mistake", self._vehicle.link.autopilot_time_s, text=where)
+            self._reporter.say(where)
         return self._write_down(result)
 
     def _write_down(self, result: FlightResult) -> FlightResult:
         """The last acts of every flight: parameters as they were, and the last word in the log."""
         self._watchdog.stop()
         self._put_parameters_back(result)
+        if self._live is not None:
+            self._live.tell()
         loop = self._stage.loop
         if loop is not None:
             reacted = in_words(reaction_times(loop.reactions, loop.controlled_until_s))
             result = replace(result, text=f"{result.text}; {reacted}") if reacted else result
             self._recorder.log.metadata("wall setpoints", loop.counters)
+        self._recorder.log.metadata("wall link", self._vehicle.link.counters)
         self._recorder.log.event(
             "ended", self._vehicle.link.autopilot_time_s, outcome=result.outcome.value, text=result.text
         )
@@ -149,7 +164,7 @@ class Flight:
         checks.ask_for_streams()
         findings = checks.parameter_findings()
         self._loop = self._stage.loop = self._make_loop(vehicle)
-        if checks.changes.pending():
+        if checks.changes.pending() and not self.begins_in_air:
             self._require_standing()
             checks.changes.put_back()
             findings = checks.parameter_findings()
@@ -199,6 +214,7 @@ class Flight:
             ground
         )  # milliseconds, so on the ground: at lift-off only its climb is planned anew
         self._announce(plan)
+        self._ground_left = ground
         self._stage.enter(Phase.LIFT_OFF)
         vehicle.taken_off = True
         vehicle.link.look_out(False)
@@ -280,12 +296,16 @@ class Flight:
 
     def _lay_out(self, ground: Reference) -> FlightPlan:
         settings, request = self._settings, self._request
+        beyond_s = 0.0
+        if self._live is not None:
+            self._live.stand_above(ground)
+            beyond_s = BEYOND_END_S
         trajectory = self._above_ground(ground)
         limits = self._transit_limits(float(ground.position_enu[2]))
         return lay_out(
             ground,
             trajectory,
-            request.duration_s,
+            request.duration_s + beyond_s,
             settings.procedure.hold_s,
             float(ground.position_enu[2]) + settings.takeoff_height_m,
             limits,
@@ -298,15 +318,14 @@ class Flight:
             Refused: it may be wrong by more than MOST_RAISED_M, or the trajectory lies in the local frame.
         """
         request, accuracy_m = self._request, self._vehicle.status.height_accuracy_m or 0.0
+        if isinstance(request.trajectory, Mission):
+            return self._located(request.trajectory, ground, accuracy_m)
         laid_out = place(request.trajectory, request.frame, ground.position_enu, ground.yaw_rad)
-        times = np.linspace(0.0, min(request.duration_s, laid_out.duration_s), LOWEST_SAMPLES)
-        lowest_m = min(float(laid_out.sample(float(t)).position_enu[2]) for t in times) - float(
-            ground.position_enu[2]
-        )
-        wanted_m = max(self._raised_m, accuracy_m - lowest_m)
+        least_m = lowest_m(laid_out, request.duration_s) - float(ground.position_enu[2])
+        wanted_m = max(self._raised_m, accuracy_m - least_m)
         if wanted_m <= 0.0:
             return laid_out
-        why = f"the trajectory comes down to {lowest_m:.2f} m, and the height estimate may be wrong by {accuracy_m:.2f} m"
+        why = f"the trajectory comes down to {least_m:.2f} m, and the height estimate may be wrong by {accuracy_m:.2f} m"
         if request.frame is Frame.LOCAL or wanted_m > MOST_RAISED_M:
             raise Refused(f"{why} (ESTIMATOR_STATUS): fly higher, or wait until the estimate has settled")
         if not self._raised_m:
@@ -321,6 +340,26 @@ class Flight:
             ground.position_enu + np.array([0.0, 0.0, wanted_m]),
             ground.yaw_rad,
         )
+
+    def _located(self, mission: Mission, ground: Reference, accuracy_m: float) -> Trajectory:
+        """A mission where its places lie. Raises Refused where that is not known, or too low for the height estimate."""
+        origin = self._vehicle.status.global_origin
+        if origin is None:
+            raise Refused(
+                f"{mission.name} has latitudes and longitudes, and the autopilot does not say where its local frame lies "
+                "(GPS_GLOBAL_ORIGIN): does it have a GPS fix?"
+            )
+        laid_out = mission.located(origin, ground.position_enu, ground.yaw_rad)
+        times = np.linspace(0.0, laid_out.duration_s, LOWEST_SAMPLES)
+        lowest_m = min(
+            float(laid_out.sample(t).position_enu[2] - ground.position_enu[2]) for t in times.tolist()
+        )
+        if lowest_m < accuracy_m:
+            raise Refused(
+                f"{mission.name} comes down to {lowest_m:.2f} m, and the height may be wrong by {accuracy_m:.2f} m "
+                "(ESTIMATOR_STATUS): fly higher, or wait until the estimate has settled"
+            )
+        return laid_out
 
     def _transit_limits(self, ground_m: float) -> TransitLimits:
         procedure = self._settings.procedure
@@ -392,7 +431,10 @@ class Flight:
             if tracking:
                 self._recorder.log.event("tracking", self._vehicle.link.autopilot_time_s, active=True)
             end_s = leg.start_s + leg.duration_s
-            self._vehicle.until(lambda end_s=end_s: bool(loop.held) or loop.plan_time_s >= end_s)  # type: ignore[misc]
+            if tracking and self._live is not None:
+                self._follow_references(self._live, plan, leg)
+            else:
+                self._vehicle.until(lambda end_s=end_s: bool(loop.held) or loop.plan_time_s >= end_s)  # type: ignore[misc]
             if tracking:
                 self._recorder.log.event("tracking", self._vehicle.link.autopilot_time_s, active=False)
             if loop.held:
@@ -400,11 +442,23 @@ class Flight:
                 self._reporter.say(f"holding: {loop.held}")
                 self._vehicle.until(lambda: False)  # until the supervisor, the pilot or the user ends it
 
+    def _follow_references(self, live: LiveReferences, plan: FlightPlan, leg: Leg) -> None:
+        """Track what another program asks for, until it ends or the time is over."""
+        loop, ground = self._loop, self._ground_left
+        limits = self._transit_limits(float(ground.position_enu[2]))
+        live.begin(leg, loop, ground, limits)
+        duration_s = self._request.duration_s
+        self._vehicle.until(lambda: bool(loop.held) or live.is_over(leg, loop, duration_s))
+        if not loop.held:
+            live.leave(plan, leg, limits)
+
     # Watching ------------------------------------------------------------------------------------------
 
     def _watch(self) -> None:
         """Called before every message, and while there is none: the user's wish to stop, and the pilot's."""
         self._watchdog.beat()
+        if self._live is not None and not self._stage.ending:
+            self._live.hear()
         if self._interrupts.count > self._answered_interrupts:
             self._answered_interrupts = self._interrupts.count
             if self._interrupts.count > 1:
@@ -513,3 +567,9 @@ class Flight:
                 changes.put_back()
         if words := changes.in_words():
             self._reporter.say(f"warning: {words}")
+
+
+def lowest_m(trajectory: Trajectory, duration_s: float) -> float:
+    """The lowest z of a trajectory over its first `duration_s`, m."""
+    times = np.linspace(0.0, min(duration_s, trajectory.duration_s), LOWEST_SAMPLES)
+    return min(float(trajectory.sample(float(time_s)).position_enu[2]) for time_s in times)

@@ -24,6 +24,8 @@ class Phase(enum.Enum):
     """Level attitude, thrust rising until the vehicle leaves the ground. The law's memory is held at zero."""
     CLIMB = "climb"
     """The control law flies from here on: straight up."""
+    STOP = "come to rest"
+    """In place of lift-off and climb where the vehicle flew already: the law flies from here on."""
     GO_TO_START = "go to start"
     """To the point where the run-in begins."""
     HOLD = "hold"

@@ -54,6 +54,14 @@ class FlightPlan:
         up = transit(start, self.legs[0].trajectory.sample(self.legs[0].duration_s), limits)
         return FlightPlan([(Phase.CLIMB, up, up.duration_s), *legs[1:]])
 
+    def change_from(self, time_s: float, legs: list[tuple[Phase, Trajectory, float]]) -> None:
+        """End the leg flown at `time_s` then, and fly `legs` from there on: they begin as it ends."""
+        index = self.legs.index(self.leg_at(time_s))
+        flown = [(leg.phase, leg.trajectory, leg.duration_s) for leg in self.legs[:index]]
+        cut = self.legs[index]
+        changed = FlightPlan([*flown, (cut.phase, cut.trajectory, time_s - cut.start_s), *legs])
+        self.legs, self.duration_s, self._starts = changed.legs, changed.duration_s, changed._starts
+
     def leg(self, phase: Phase) -> Leg:
         """The leg of a phase (each comes once)."""
         return next(leg for leg in self.legs if leg.phase is phase)
@@ -77,29 +85,45 @@ def lay_out(
         height_m: take-off height above the ground.
         limits: for everything but the tracking itself.
     """
-    track_s = min(track_s, trajectory.duration_s)
     up = climb(ground, float(ground.position_enu[2]) + height_m, limits)
     top = up.sample(up.duration_s)
+    legs = _there_and_back(top, trajectory, track_s, hold_s, limits)
+    return FlightPlan([(Phase.CLIMB, up, up.duration_s), *legs])
+
+
+def lay_out_in_air(
+    stop: Trajectory, trajectory: Trajectory, track_s: float, hold_s: float, limits: TransitLimits
+) -> FlightPlan:
+    """Plan a flight that begins in the air with `stop`, which brings the vehicle to rest, and ends there; see `lay_out`."""
+    legs = _there_and_back(stop.sample(stop.duration_s), trajectory, track_s, hold_s, limits)
+    return FlightPlan([(Phase.STOP, stop, stop.duration_s), *legs])
+
+
+def _there_and_back(
+    top: Reference, trajectory: Trajectory, track_s: float, hold_s: float, limits: TransitLimits
+) -> list[tuple[Phase, Trajectory, float]]:
+    track_s = min(track_s, trajectory.duration_s)
     entry = run_in(trajectory, limits)
     start = entry.sample(0.0)
     go = transit(top, start, limits)
-    leave = run_out(trajectory.sample(track_s), limits)
-    rest = leave.sample(leave.duration_s)
-    above_home = resting(top.position_enu, ground.yaw_rad)
-    back = transit(rest, above_home, limits)
     x_m, y_m, height_m = start.position_enu.tolist()
     hold = Hold(x_m, y_m, height_m, start.yaw_rad)
-    return FlightPlan(
-        [
-            (Phase.CLIMB, up, up.duration_s),
-            (Phase.GO_TO_START, go, go.duration_s),
-            (Phase.HOLD, hold, hold_s),
-            (Phase.RUN_IN, entry, entry.duration_s),
-            (Phase.TRACK, trajectory, track_s),
-            (Phase.RUN_OUT, leave, leave.duration_s),
-            (Phase.RETURN, back, back.duration_s),
-        ]
-    )
+    return [
+        (Phase.GO_TO_START, go, go.duration_s),
+        (Phase.HOLD, hold, hold_s),
+        (Phase.RUN_IN, entry, entry.duration_s),
+        (Phase.TRACK, trajectory, track_s),
+        *way_back(trajectory.sample(track_s), resting(top.position_enu, top.yaw_rad), limits),
+    ]
+
+
+def way_back(
+    now: Reference, above_home: Reference, limits: TransitLimits
+) -> list[tuple[Phase, Trajectory, float]]:
+    """The legs after tracking: from a moving reference to rest, and to rest at `above_home`."""
+    leave = run_out(now, limits)
+    back = transit(leave.sample(leave.duration_s), above_home, limits)
+    return [(Phase.RUN_OUT, leave, leave.duration_s), (Phase.RETURN, back, back.duration_s)]
 
 
 def stopping_plan(now: Reference, limits: TransitLimits, hold_s: float) -> FlightPlan:

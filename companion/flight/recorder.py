@@ -73,7 +73,6 @@ class Recorder:
             state.quaternion_wxyz,
             state.body_rate_flu,
             position_age_s,
-            0.0,
         )
 
     def reference(self, time_s: float, reference: Reference, tracking_s: float) -> None:

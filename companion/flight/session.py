@@ -16,7 +16,7 @@ from types import FrameType
 
 import numpy as np
 
-from companion.autopilot.adapter import Finding, Verdict
+from companion.autopilot.adapter import Finding, Intent, Verdict
 from companion.autopilot.attitude_response import AttitudeResponseMeter
 from companion.autopilot.drag import DragMeter
 from companion.autopilot.hover_thrust import HoverThrustEstimator
@@ -29,6 +29,7 @@ from companion.control.registry import build_law
 from companion.control.structs import ControlLevel, Vector
 from companion.flight import realtime
 from companion.flight.control_loop import ControlLoop
+from companion.flight.engagement import FlightFromAir
 from companion.flight.flight import Flight
 from companion.flight.known_vehicle import KnownVehicle
 from companion.flight.outcome import Refused
@@ -42,12 +43,12 @@ from companion.flight.stage import FlightRequest, FlightResult, Interrupts
 from companion.flight.vehicle import Vehicle
 from companion.flightlog.law_channels import LATER_SETTINGS, LAW_TEXT
 from companion.flightlog.writer import FlightLog
+from companion.live.trajectory import PREFIX, LiveTrajectory, trajectory_or_live
 from companion.mavlink.bandwidth import LinePlan, describe, plan_line
 from companion.mavlink.connection import Connection
 from companion.mavlink.link import mav
 from companion.mavlink.outside_poses import DEFAULT_RATE_HZ, OutsidePoses
 from companion.reference.feasibility import VehicleLimits, check_feasibility
-from companion.reference.registry import trajectory_from_text
 from companion.reference.trajectory import Frame, Trajectory
 
 _PACKAGES = ("dtlannc-companion", "numpy", "numba", "pymavlink", "mcap")
@@ -63,6 +64,8 @@ class SessionOptions:
     may_arm: bool = False
     fix: bool = False
     wait_for_offboard: bool = False
+    from_air: bool = False  # the vehicle hovers already, under its pilot or its autopilot
+    then: Intent = Intent.LAND  # what the autopilot is asked for once the plan is flown
     real_time: bool = True  # ask for real-time scheduling; a simulation in lockstep has no use for it
     command_line: str = ""
     outside_poses: tuple[str, int] | None = None  # host, port to hear poses at that are forwarded as ODOMETRY
@@ -77,7 +80,7 @@ def fly(settings: Settings, options: SessionOptions, reporter: Reporter) -> Flig
         UserError: the flight could not begin for a reason that the user can mend.
     """
     settings, plan = _fitted(settings, options.connection, reporter)
-    trajectory = trajectory_from_text(settings.flight.trajectory)
+    trajectory = trajectory_or_live(settings.flight.trajectory)
     _law(settings, None).warm_up()  # seconds, so before anybody is listening to us
     Predictor(settings.profile, settings.level)
     try:
@@ -99,6 +102,9 @@ def _fly(
     plan: LinePlan | None,
 ) -> FlightResult:
     poses = OutsidePoses(options.outside_poses, options.pose_rate_hz) if options.outside_poses else None
+    live = trajectory if isinstance(trajectory, LiveTrajectory) else None
+    if live is not None:
+        live.open()
     link = options.connection.open(reporter.say)
     try:
         with FlightLog(
@@ -118,11 +124,12 @@ def _fly(
             request = FlightRequest(
                 level=settings.level,
                 trajectory=trajectory,
-                frame=Frame(settings.flight.layout),
+                frame=Frame.LOCAL if live is not None and live.is_mavlink else Frame(settings.flight.layout),
                 duration_s=settings.flight.duration_s,
                 may_arm=options.may_arm,
                 fix=options.fix,
                 wait_for_offboard=options.wait_for_offboard,
+                then=options.then,
             )
 
             known = KnownVehicle(settings, reporter)
@@ -140,7 +147,7 @@ def _fly(
 
             preflight = _preflight(known, vehicle, reporter, plan)
             with _signals(Interrupts()) as interrupts:
-                flight = Flight(
+                flight = (FlightFromAir if options.from_air else Flight)(
                     vehicle,
                     request,
                     settings.flight,
@@ -160,6 +167,8 @@ def _fly(
         link.close()
         if poses is not None:
             poses.close()
+        if live is not None:
+            live.close()
 
 
 def check(
@@ -351,7 +360,10 @@ def _check_plan(settings: Settings, plan: FlightPlan, ground_m: float) -> None:
         height_min_m=ground_m + 0.1,
         height_max_m=ground_m + settings.flight.safety.fence.height_max_m,
     )
-    check_feasibility(leg.trajectory, limits, leg.duration_s).require(settings.flight.trajectory)
+    live = settings.flight.trajectory.startswith(PREFIX)  # it stands still so far
+    check_feasibility(leg.trajectory, limits, 1.0 if live else leg.duration_s).require(
+        settings.flight.trajectory
+    )
 
 
 @contextmanager

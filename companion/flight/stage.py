@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from companion.autopilot.adapter import Intent
 from companion.control.structs import ControlLevel
 from companion.flight.control_loop import ControlLoop
 from companion.flight.outcome import Outcome
@@ -28,6 +29,7 @@ class FlightRequest:
     may_arm: bool  # whether we may arm a vehicle that is not a simulation
     fix: bool  # whether parameters that stand in the way may be set for the flight
     wait_for_offboard: bool  # whether the mode switch is the pilot's
+    then: Intent = Intent.LAND  # what the autopilot is asked for once the plan is flown
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +72,7 @@ class Stage:
     airborne: bool = False
     nobody_has_it: Callable[[], str] = lambda: ""
     """After a hand-over to the sticks: why nobody is believed to have the vehicle; empty while somebody is."""
+    then: Intent = Intent.LAND  # what the autopilot is asked for once the plan is flown
     ground_m: float = 0.0  # height of the place of take-off in the local frame
 
     def enter(self, phase: Phase) -> None:

@@ -140,11 +140,21 @@ STATE = ChannelSpec(
         FieldSpec("quaternion_wxyz", 4, "1", "Hamilton, body FLU to world ENU"),
         FieldSpec("body_rate_flu", 3, "rad/s"),
         FieldSpec("position_age_s", 1, "s", "age of the position message when the step ran, autopilot time"),
-        FieldSpec("attitude_age_s", 1, "s", "age of the attitude message when the step ran, autopilot time"),
     ),
     pose=("position_enu", "quaternion_wxyz"),
 )
 """The state the control law was given (after extrapolation by the delay)."""
+
+LIVE_SAMPLED = ChannelSpec(
+    "/live/sampled",
+    (
+        FieldSpec(
+            "own_time_s", 1, "s", "since the beginning of tracking, at which a reference was asked for"
+        ),
+        FieldSpec("checksum", 1, "1", "CRC-32 of the reference it gave, in the trajectory's own axes"),
+    ),
+)
+"""References from another program as they were made of what came in (/live/in): a replay makes them again."""
 
 REFERENCE = ChannelSpec(
     "/reference",

@@ -28,8 +28,10 @@ KINDS: dict[str, str] = {
     "safety": "the supervisor reacted: reaction, reason, and the numbers it acted on",
     "blind": "a message that something rests on is not heard, or leaves it open: active (bool), text",
     "estimator_reset": "the estimate jumped and the plan went along: jump_enu [m], yaw_jump_rad",
+    "live": "references of another program: text; when tracking begins all that they are followed by",
     "rc": "the pilot's transmitter was lost, or is back: lost (bool), text",
     "log": "the log itself had trouble: text, and how many records it cost",
+    "mistake": "an exception in this program, or in somebody's law, ended the flight: text (the traceback)",
     "ended": "how the flight ended: outcome, text",
 }
 """Kinds the package writes and what fields they carry; others are welcome."""

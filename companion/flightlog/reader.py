@@ -28,6 +28,7 @@ from companion.config.foreign_files import kind_of_file
 from companion.flightlog import events
 from companion.flightlog.channels import CDR_HEADER, TIME_FIELD, FieldSpec, parse_definition
 from companion.flightlog.mcap_file import MAGIC
+from companion.flightlog.writer import LIVE_HEAD, LIVE_TOPIC
 
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
@@ -118,6 +119,8 @@ class FlightRecord:
     utc_offset_ns: int
     cut: str  # what is wrong with the end of the file, empty when it is whole
     end_time_s: float  # autopilot time of the last record; NaN in a log without any
+    live: list[tuple[float, tuple[float, ...], bytes]] = field(default_factory=list)
+    """What other programs sent as references: when, autopilot's time; numbers (`companion/live/heard.py`); the bytes."""
 
     def channel(self, topic: str) -> NumericChannel | None:
         """Return a channel, or None when the log has no record of it."""
@@ -148,6 +151,7 @@ def read_log(path: str | os.PathLike[str]) -> FlightRecord:
     channels: dict[str, NumericChannel] = {}
     found: list[Event] = []
     mavlink: dict[str, tuple[NDArray[np.int64], list[bytes]]] = {}
+    live: list[tuple[float, tuple[float, ...], bytes]] = []
     last = -1
     for item in raw.channels:
         if not item.messages:
@@ -161,11 +165,18 @@ def read_log(path: str | os.PathLike[str]) -> FlightRecord:
                 message[16 : 16 + int.from_bytes(message[12:16], "little")] for message in item.messages
             ]
             mavlink[item.topic.removeprefix("/mavlink/")] = (np.array(item.log_times_ns, np.int64), frames)
+        elif item.topic == LIVE_TOPIC:
+            live = [_live_reference(message) for message in item.messages]
         elif (decoded := _decode_numeric(item)) is not None:
             channels[item.topic] = decoded
     end = (last - offset) / 1e9 if last >= 0 else float("nan")
     attachments = {item.name: item.data for item in raw.attachments}
-    return FlightRecord(raw.path, channels, found, metadata, attachments, mavlink, offset, raw.cut, end)
+    return FlightRecord(raw.path, channels, found, metadata, attachments, mavlink, offset, raw.cut, end, live)
+
+
+def _live_reference(message: bytes) -> tuple[float, tuple[float, ...], bytes]:
+    _, time_s, *numbers, length = LIVE_HEAD.unpack_from(message)
+    return time_s, tuple(numbers), message[LIVE_HEAD.size : LIVE_HEAD.size + length]
 
 
 def _decode_events(item: RawChannel) -> Iterator[Event]:

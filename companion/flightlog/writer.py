@@ -39,6 +39,14 @@ POSE_INTERVAL_NS = 33_000_000  # 30 Hz is what an eye needs
 MAVLINK_SCHEMA = (
     "float64 time_s  # [s] autopilot time since boot\nuint8[] frame  # one MAVLink frame as on the wire\n"
 )
+LIVE_TOPIC = "/live/in"
+LIVE_SCHEMA_NAME = "companion/msg/LiveReference"
+LIVE_NUMBERS = 15
+LIVE_SCHEMA = (
+    "float64 time_s  # [s] autopilot time since boot when it arrived\n"
+    "float64[15] numbers  # what its meaning rests on: companion/live/heard.py\n"
+    "uint8[] data  # as the client sent it\n"
+)
 MAVLINK_TOPICS = {"in": "/mavlink/in", "out": "/mavlink/out"}
 MAVLINK_SCHEMA_NAME = "companion/msg/MavlinkFrame"
 
@@ -47,6 +55,7 @@ _DOUBLE = struct.Struct("<d")
 _FLOAT64 = np.dtype(np.float64)
 _RECORD_HEAD = struct.Struct("<4sd")
 _FRAME_HEAD = struct.Struct("<4sdI")
+LIVE_HEAD = struct.Struct(f"<4sd{LIVE_NUMBERS}dI")
 
 
 class Channel:
@@ -114,6 +123,7 @@ class FlightLog:
         self._trouble = ""
         self._last_time_s = math.nan  # of the record before: most share their instant with it
         self._last_time_ns = 0
+        self._room = free_bytes(self.path)
         self._channels: dict[str, Channel] = {}
         self._by_topic: dict[str, int] = {}
         self._closed = False
@@ -173,6 +183,10 @@ class FlightLog:
         """Log a raw MAVLink frame; `direction` is `in` or `out`."""
         self._put("mavlink", direction, time_s, frame)
 
+    def live_reference(self, time_s: float, numbers: tuple[float, ...], data: bytes) -> None:
+        """Log what another program sent as a reference, as it came, with the LIVE_NUMBERS that its meaning rests on."""
+        self._put("live", time_s, numbers, data)
+
     def path_enu(self, name: str, time_s: float, points_enu: NDArray[np.float64]) -> None:
         """Log a path (N, 3) m for the 3D view, e.g. the whole reference when tracking starts."""
         self._put("path", name, time_s, np.array(points_enu, dtype=np.float64))
@@ -197,16 +211,14 @@ class FlightLog:
 
     @property
     def waiting(self) -> int:
-        """Records waiting for the writer thread. Cheap; `health` asks the disk."""
+        """Records waiting for the writer thread."""
         return len(self._queue)
 
     @property
     def health(self) -> LogHealth:
-        """How the log is doing. Asks the file system for its free space: not for every control step."""
-        room = free_bytes(self.path)
-        return LogHealth(
-            self._written, len(self._queue), self._dropped, self._rejected, self._lost, room, self._trouble
-        )
+        """How the log is doing. Its room is that of the last look, SYNC_INTERVAL_S ago at most: this asks no disk."""
+        waits, room = len(self._queue), self._room
+        return LogHealth(self._written, waits, self._dropped, self._rejected, self._lost, room, self._trouble)
 
     def close(self, timeout_s: float = 10.0) -> LogHealth:
         """Write what waits, the index and the footer. Safe to call twice. Returns the final health.
@@ -262,6 +274,7 @@ class FlightLog:
 
     def _sync_until_stopped(self) -> None:
         while not self._stop.wait(SYNC_INTERVAL_S):
+            self._room = free_bytes(self.path)
             try:
                 os.fdatasync(self._descriptor)
             except OSError as error:
@@ -332,6 +345,13 @@ class FlightLog:
             direction, time_s, frame = item[1:]
             data = _FRAME_HEAD.pack(CDR_HEADER, time_s, len(frame)) + frame
             self._file.add_message(self._by_topic[direction], self._log_time(time_s), data)
+        elif kind == "live":
+            if LIVE_TOPIC not in self._by_topic:
+                schema = self._file.add_schema(LIVE_SCHEMA_NAME, "ros2msg", LIVE_SCHEMA.encode())
+                self._by_topic[LIVE_TOPIC] = self._file.add_channel(LIVE_TOPIC, "cdr", schema)
+            time_s, numbers, data = item[1:]
+            body = LIVE_HEAD.pack(CDR_HEADER, time_s, *numbers, len(data)) + data
+            self._file.add_message(self._by_topic[LIVE_TOPIC], self._log_time(time_s), body)
         elif kind == "event":
             name, time_s, fields = item[1:]
             data = events.encode_event(name, time_s, fields)

@@ -10,8 +10,7 @@ import numpy as np
 from companion.control.structs import Reference, Vector
 from companion.live.point import DEGREE
 
-_EXPONENTS = np.arange(DEGREE + 1)
-_SHIFT = np.diag(_EXPONENTS[1:].astype(np.float64), 1)
+_SHIFT = np.diag(np.arange(1.0, DEGREE + 1), 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,34 +21,28 @@ class Course:
     until_s: float
     _table: Vector  # (20, 10) coefficients of the derivatives 0 to 4, row 4k + axis
 
-    def at(self, time_s: float) -> Reference:
-        """The reference at `time_s`, autopilot's clock; not clamped."""
-        out = self._table @ (time_s - self.start_s) ** _EXPONENTS
-        return Reference(
-            out[0:3],
-            out[4:7],
-            out[8:11],
-            out[12:15],
-            out[16:19],
-            float(out[3]),
-            float(out[7]),
-            float(out[11]),
-        )
+    def at(self, time_s: float) -> Vector:
+        """(5, 4) at `time_s`, autopilot's clock, not clamped: value and derivatives to snap; x, y, z, yaw."""
+        t = time_s - self.start_s
+        t2 = t * t
+        t4 = t2 * t2
+        t3, t6, t8 = t2 * t, t4 * t2, t4 * t4
+        out: Vector = self._table.dot(np.array((1.0, t, t2, t3, t4, t4 * t, t6, t6 * t, t8, t8 * t)))
+        return out.reshape(5, 4)
 
 
 def course(coefficients: Vector, start_s: float, until_s: float = math.inf) -> Course:
     """The course with `coefficients` (4, n ≤ 10), ascending powers of the time since `start_s`, m and rad."""
-    padded = np.zeros((4, DEGREE + 1))
-    padded[:, : coefficients.shape[1]] = coefficients
-    rows = [padded]
-    for _ in range(4):
-        rows.append(rows[-1] @ _SHIFT.T)
-    return Course(start_s, until_s, np.concatenate(rows))
+    rows = np.zeros((5, 4, DEGREE + 1))
+    rows[0, :, : coefficients.shape[1]] = coefficients
+    for k in range(4):
+        rows[k + 1] = rows[k].dot(_SHIFT.T)
+    return Course(start_s, until_s, rows.reshape(20, DEGREE + 1))
 
 
-def fitted(times_s: Vector, values: Vector, degree: int) -> Vector:
-    """Least-squares polynomial (columns of `values`, degree + 1) about the last of `times_s`, ascending powers."""
-    span = max(float(times_s[-1] - times_s[0]), 1e-6)
-    basis = ((times_s - times_s[-1]) / span)[:, None] ** np.arange(degree + 1)
-    found: Vector = np.linalg.lstsq(basis, values, rcond=None)[0].T
-    return found / span ** np.arange(degree + 1)
+def reference_of(table: Vector) -> Reference:
+    """The reference that `table` (5, 4) stands for; keeps views of it."""
+    yaw, yaw_rate, yaw_acceleration = table[:3, 3].tolist()
+    return Reference(
+        table[0, :3], table[1, :3], table[2, :3], table[3, :3], table[4, :3], yaw, yaw_rate, yaw_acceleration
+    )

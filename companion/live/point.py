@@ -16,6 +16,7 @@ from companion.control.structs import Vector
 FARTHEST_M = 1e5
 FASTEST_M_S = 50.0
 HARDEST_M_S2 = 100.0
+QUICKEST_RAD_S = 20.0
 DEGREE = 9
 """Of polynomial pieces, at most."""
 LONGEST_S = 3600.0
@@ -23,7 +24,7 @@ LONGEST_S = 3600.0
 
 
 class BadPoint(ValueError):
-    """A point that is not followed; the text says why, for the client and the log."""
+    """A point that is not followed. The text says why, for client and log; what stands before a colon is counted."""
 
 
 def unknown() -> Vector:
@@ -45,25 +46,24 @@ class Point:
 
     def require_sane(self) -> None:
         """Raise BadPoint for what is infinite, absurd, or says nothing about where to go."""
-        bounds = (
-            ("position", self.position, FARTHEST_M, "m"),
-            ("velocity", self.velocity, FASTEST_M_S, "m/s"),
-            ("acceleration", self.acceleration, HARDEST_M_S2, "m/s²"),
-            ("jerk", self.jerk, math.inf, "m/s³"),
+        position, velocity, acceleration = (
+            value.tolist() for value in (self.position, self.velocity, self.acceleration)
         )
-        for name, value, bound, unit in bounds:
-            if np.isinf(value).any():
-                raise BadPoint(f"{name} is infinite")
-            if np.nanmax(np.abs(value), initial=0.0) > bound:
-                raise BadPoint(f"{name} {_numbers(value)} {unit} is beyond {bound:g} {unit}")
-        for name, angle in (("yaw", self.yaw_rad), ("yaw rate", self.yaw_rate_rad_s), ("time", self.time_s)):
-            if math.isinf(angle):
-                raise BadPoint(f"{name} is infinite")
-        if (
-            np.isnan(self.position).all()
-            and np.isnan(self.velocity).all()
-            and np.isnan(self.acceleration).all()
+        for name, values, bound, unit in (
+            ("position", position, FARTHEST_M, "m"),
+            ("velocity", velocity, FASTEST_M_S, "m/s"),
+            ("acceleration", acceleration, HARDEST_M_S2, "m/s²"),
+            ("jerk", self.jerk.tolist(), math.inf, "m/s³"),
+            ("yaw", (self.yaw_rad,), math.inf, "rad"),
+            ("yaw rate", (self.yaw_rate_rad_s,), QUICKEST_RAD_S, "rad/s"),
+            ("time", (self.time_s,), math.inf, "s"),
         ):
+            for value in values:
+                if math.isinf(value):
+                    raise BadPoint(f"{name} is infinite")
+                if abs(value) > bound:
+                    raise BadPoint(f"{name}: {value:g} {unit} is beyond {bound:g} {unit}")
+        if all(math.isnan(value) for value in (*position, *velocity, *acceleration)):
             raise BadPoint("holds neither position nor velocity nor acceleration")
 
 
@@ -83,11 +83,7 @@ class PolynomialPiece:
         if not np.isfinite(self.coefficients[:3]).all() or np.isinf(self.coefficients[3]).any():
             raise BadPoint("a coefficient is not a finite number")
         if not 0.0 < self.duration_s <= LONGEST_S:
-            raise BadPoint(f"duration {self.duration_s:g} s is not between 0 and {LONGEST_S:g} s")
+            raise BadPoint(f"duration: {self.duration_s:g} s is not between 0 and {LONGEST_S:g} s")
         times = np.linspace(0.0, self.duration_s, 20)[:, None] ** np.arange(shape[1])
         if np.abs(times @ self.coefficients[:3].T).max() > FARTHEST_M:
             raise BadPoint(f"leads farther than {FARTHEST_M:g} m")
-
-
-def _numbers(value: Vector) -> str:
-    return "[" + ", ".join(f"{number:g}" for number in value) + "]"

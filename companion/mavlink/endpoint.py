@@ -130,6 +130,14 @@ def checked_host(where: str, host: str) -> str:
     return host
 
 
+def host_and_port(text: str, what: str) -> tuple[str, int]:
+    """`[HOST:]PORT`; without a host this machine only. Raises UserError, beginning with `what`, for anything else."""
+    host, _, port = text.rpartition(":")
+    if not port.isdecimal() or not 0 < int(port) < 65536:
+        raise UserError(f"{what} {text!r}: not [HOST:]PORT; use for example 0.0.0.0:14600")
+    return checked_host(f"{what} {text!r}", host) or "127.0.0.1", int(port)
+
+
 def _serial(text: str, rest: str) -> Endpoint:
     device, _, baud = rest.partition(",")
     if not baud and (match := re.fullmatch(r"(.*):(\d+)", rest)):

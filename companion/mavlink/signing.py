@@ -12,6 +12,7 @@ from __future__ import annotations
 import hashlib
 import hmac
 import stat
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -99,6 +100,7 @@ class Signer:
         self._key = key
         self._link_id = link_id
         self._file = remembered
+        self._writing = threading.Lock()
         self._streams: dict[tuple[int, int, int], int] = {}
         self._stamp = max(stamp_of(time.time()), self._read() + 1)
         self._save(self._stamp + RESERVED)
@@ -115,8 +117,12 @@ class Signer:
         codec.signing.link_id = self._link_id
         codec.signing.sign_outgoing = True
         codec.signing.timestamp = self._stamp
-        if self._stamp >= self._reserved:
-            self._save(self._stamp + RESERVED)
+        if self._stamp >= self._reserved - RESERVED // 2:
+            # ahead of time and beside the control loop, which waits for no disk
+            self._reserved = self._stamp + RESERVED
+            threading.Thread(
+                target=self._save, args=(self._reserved,), name="signing stamp", daemon=True
+            ).start()
 
     def judge(self, frame: bytes | bytearray) -> str | None:
         """Why a frame must not be believed (one of UNSIGNED, FORGED, REPLAYED), None when it may.
@@ -153,12 +159,13 @@ class Signer:
 
     def _save(self, stamp: int) -> None:
         self._reserved = stamp
-        if self._file is None:
-            return
-        try:
-            self._file.parent.mkdir(parents=True, exist_ok=True)
-            beside = self._file.with_suffix(".new")
-            beside.write_text(f"{stamp}\n")
-            beside.replace(self._file)  # never half a number, even when the power goes
-        except OSError:
-            self._file = None  # a read-only disk: the clock alone has to do
+        with self._writing:
+            if self._file is None:
+                return
+            try:
+                self._file.parent.mkdir(parents=True, exist_ok=True)
+                beside = self._file.with_suffix(".new")
+                beside.write_text(f"{stamp}\n")
+                beside.replace(self._file)  # never half a number, even when the power goes
+            except OSError:
+                self._file = None  # a read-only disk: the clock alone has to do

@@ -21,6 +21,8 @@ LEAST_SAMPLES = 8  # before anything is said of how fast the clock runs
 COARSENESS_S = 1e-3  # of a round trip's weight: on a quick link all count the same
 ROUNDING_S = 1e-6
 SIGNIFICANT = 3.0  # standard errors: a clock that is read in steps of 4 ms does not drift
+UNEVEN_S = 0.01
+"""Answers that contradict each other by more, beyond what drift explains: a simulation that runs in fits and starts."""
 RATE_TOLERANCE = 0.02  # a clock that runs this much off ours is a simulation's, not a crystal's
 
 
@@ -38,7 +40,7 @@ class TimeSync:
     def __init__(self) -> None:
         self.answered_s = -math.inf  # the autopilot's clock in its newest answer
         self._samples: deque[_Sample] = deque(maxlen=WINDOW)
-        self._drift = 0.0
+        self._drift = self._disagreement_s = 0.0
 
     def add(
         self, sent_ns: int, autopilot_ns: int, received_ns: int, autopilot_trip_s: float = math.nan
@@ -58,6 +60,7 @@ class TimeSync:
             )
         )
         self._drift = self._fitted_drift()
+        self._disagreement_s = self._greatest_disagreement_s()
 
     @property
     def samples(self) -> int:
@@ -131,7 +134,15 @@ class TimeSync:
         if len(self._samples) < LEAST_SAMPLES:
             return False
         elapsed_s = self._samples[-1].wall_s - self._samples[0].wall_s
-        return elapsed_s > 0.2 and abs(self._drift) < RATE_TOLERANCE
+        return elapsed_s > 0.2 and abs(self._drift) < RATE_TOLERANCE and self._disagreement_s < UNEVEN_S
+
+    def _greatest_disagreement_s(self) -> float:
+        """By how much two answers contradict each other, drift aside: each bounds the offset by half its round trip."""
+        newest_s = self._samples[-1].wall_s
+        offsets = [
+            (s.offset_s + self._drift * (newest_s - s.wall_s), 0.5 * s.round_trip_s) for s in self._samples
+        ]
+        return max(offset - half for offset, half in offsets) - min(offset + half for offset, half in offsets)
 
     def lateness_s(self, time_s: float, our_time_s: float) -> float:
         """How much later than the link's own delay allows for a state stamped `time_s` is at `our_time_s`; nan if unknown.

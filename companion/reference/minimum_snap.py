@@ -81,10 +81,15 @@ def minimum_snap(waypoints: Waypoints) -> Spline:
 
     Raises ArithmeticError, with what to do, where distances or times differ too much for double precision.
     """
+    return spline_through(*minimum_snap_knots(waypoints))
+
+
+def minimum_snap_knots(waypoints: Waypoints) -> tuple[Vector, Vector]:
+    """Return that curve's knots: times (n,) from 0 on, and derivatives (n, 4, 4) [p, v, a, j; x, y, z, yaw]."""
     points = np.column_stack([waypoints.positions, waypoints.yaw_rad])
     if waypoints.times_s is not None:
         times = waypoints.times_s - waypoints.times_s[0]
-        return _checked_spline(times, points)
+        return _checked_knots(times, points)
     limits = waypoints.limits
     bounds = np.array([getattr(limits, name) for name in _LIMIT_NAMES])[:, None]
     powers = np.array([1.0, 2.0, 3.0, 1.0, 2.0])[:, None]
@@ -95,16 +100,16 @@ def minimum_snap(waypoints: Waypoints) -> Spline:
         times = times * need.max()
     if times[-1] > LONGEST_S:
         raise ArithmeticError(f"the tour would take {times[-1]:.3g} s; raise its limits or shorten it")
-    return _checked_spline(times, points)
+    return _checked_knots(times, points)
 
 
-def _checked_spline(times_s: Vector, points: Vector) -> Spline:
+def _checked_knots(times_s: Vector, points: Vector) -> tuple[Vector, Vector]:
     derivatives = _solve(times_s, points)
     if not (np.isfinite(derivatives).all() and np.isfinite(times_s).all()):
         raise ArithmeticError(
             "distances or times between the waypoints differ too much for one smooth curve; split the tour"
         )
-    return spline_through(times_s, derivatives)
+    return times_s, derivatives
 
 
 def _best_times(points: Vector, limits: TransitLimits) -> Vector:

@@ -23,6 +23,7 @@ from companion.reference.csv_file import csv_trajectory
 from companion.reference.hold import Hold
 from companion.reference.lemniscate import Lemniscate
 from companion.reference.minimum_snap import waypoint_trajectory
+from companion.reference.mission_file import mission_trajectory
 from companion.reference.step import Step
 from companion.reference.steps import Steps
 from companion.reference.trajectory import Trajectory
@@ -35,8 +36,10 @@ CATALOGUE: dict[str, Callable[..., Trajectory]] = {
     "steps": Steps,
     "waypoints": waypoint_trajectory,
     "csv": csv_trajectory,
+    "mission": mission_trajectory,
 }
-_BY_ENDING = {".toml": "waypoints", ".csv": "csv"}
+_MISSION_ENDINGS = (".plan", ".waypoints", ".mission")
+_BY_ENDING = {".toml": "waypoints", ".csv": "csv"} | dict.fromkeys(_MISSION_ENDINGS, "mission")
 _UNITS = ("_m_s", "_m", "_s", "_rad")
 LARGEST_OPTION = 1e6
 SMALLEST_OPTION = 1e-6
@@ -54,11 +57,11 @@ def trajectory_from_text(text: str) -> Trajectory:
     name = name.strip()
     if name not in CATALOGUE:
         ending = Path(head).suffix.lower()
-        if (foreign := known_foreign(Path(head))) is not None:
-            raise UserError(
-                f"{head} is no trajectory: {foreign}; see docs/trajectories.md for what can be flown"
-            )
         if ending not in _BY_ENDING:
+            if (foreign := known_foreign(Path(head))) is not None:
+                raise UserError(
+                    f"{head} is no trajectory: {foreign}; see docs/trajectories.md for what can be flown"
+                )
             raise UserError(_unknown_name(text, name))
         name, colon, file = _BY_ENDING[ending], ":", head
     build = CATALOGUE[name]
@@ -115,7 +118,7 @@ def _unknown_name(text: str, name: str) -> str:
     hint = f"did you mean '{near[0]}'? " if near else ""
     return (
         f"no trajectory is called '{name or text}'; {hint}Known are {', '.join(CATALOGUE)}, "
-        "and files ending in .toml (waypoints) or .csv (samples)"
+        "and files ending in .toml (waypoints), .csv (samples), .plan or .waypoints (missions)"
     )
 
 

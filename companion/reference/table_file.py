@@ -187,12 +187,12 @@ def _column_names(
             f"{where}: column {', '.join(missing)} is missing; needed are {', '.join(required)}{unknown}"
         )
     if passed_over:
-        _say_once(f"{where}: passed over: column {', '.join(passed_over)}")
+        say_once(f"{where}: passed over: column {', '.join(passed_over)}")
     return names
 
 
 @functools.cache
-def _say_once(text: str) -> None:
+def say_once(text: str) -> None:
     """A word that is no error; the file is read more than once on the way to a flight."""
     with contextlib.suppress(OSError):
         print(text, file=sys.stderr)

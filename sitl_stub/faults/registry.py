@@ -8,6 +8,7 @@ from sitl_stub.faults import (
     firmware_faults,
     link_faults,
     pilot_faults,
+    traffic_faults,
     vehicle_faults,
 )
 from sitl_stub.faults.fault import Fault, Parameter
@@ -24,6 +25,8 @@ KINDS: dict[str, type[Fault]] = {
         link_faults.LinkTruncate,
         link_faults.AckLoss,
         link_faults.ParameterLoss,
+        traffic_faults.LinkPieces,
+        traffic_faults.OtherTraffic,
         firmware_faults.StreamStop,
         firmware_faults.Reboot,
         clock_faults.ClockJump,

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from importlib import resources
 from typing import Any
 
-from campaign.faults import Fault, draw_faults
+from campaign.faults import Fault, draw_faults, draw_traffic
 
 FIRMWARES = ("px4", "ardupilot")
 
@@ -81,7 +81,7 @@ class PlannedFlight:
     @property
     def quiet(self) -> bool:
         """Whether nothing is to go wrong: within what the profiles claim to bear, it has to be flown as planned."""
-        return self.kinds == ("none",)
+        return set(self.kinds) <= {"none", "other_traffic"}
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -158,6 +158,9 @@ def planned(firmware: str, seed: int) -> PlannedFlight:
     else:
         count = 1 if draw.random() < 0.5 else 2
         faults = draw_faults(draw, firmware, count)
+    if draw.random() < 0.2:
+        traffic = draw_traffic(draw)
+        faults = (*(fault for fault in faults if fault.kind != traffic.kind), traffic)
     pushed = any(fault.kind in ("gust", "link_delay", "link_jitter") for fault in faults)
     tight = tight or (pushed and draw.random() < 0.6)
     wild = bool(faults)

@@ -240,6 +240,47 @@ KINDS: dict[str, Drawn] = {
 """How each kind is drawn; the firmware is given."""
 
 
+SILENCED = (
+    "ATTITUDE",
+    "ATTITUDE_QUATERNION",
+    "AUTOPILOT_VERSION",
+    "BATTERY_STATUS",
+    "COMMAND_ACK",
+    "CURRENT_MODE",
+    "ESTIMATOR_STATUS",
+    "EKF_STATUS_REPORT",
+    "EXTENDED_SYS_STATE",
+    "GPS_RAW_INT",
+    "HEARTBEAT",
+    "HIGHRES_IMU",
+    "LOCAL_POSITION_NED",
+    "ODOMETRY",
+    "PARAM_VALUE",
+    "RC_CHANNELS",
+    "STATUSTEXT",
+    "SYS_STATUS",
+    "TIMESYNC",
+)
+"""What a router or a filter may keep back, one at a time, for good."""
+
+
+def draw_traffic(draw: random.Random) -> Fault:
+    """What other people's machines do on the same link, from the first frame on."""
+    sort = draw.random()
+    if sort < 0.6:
+        others = ["companion", "ground_station", "gimbal", "camera"]
+        some = draw.sample(others, draw.randrange(1, 5)) + ["autopilot"] * (draw.random() < 0.5)
+        share = round(draw.uniform(0.1, 1.0), 2)
+        return Fault("other_traffic", "start", 0.0, None, (("probability", share), ("senders", tuple(some))))
+    if sort < 0.8:
+        lost = round(draw.choice((0.0, 0.002, 0.02)), 3)
+        return Fault(
+            "link_pieces", "start", 0.0, None, (("size", draw.choice((32, 64, 256))), ("probability", lost))
+        )
+    moment = "start" if draw.random() < 0.5 else "airborne"
+    return Fault("stream_stop", moment, 0.0, None, (("messages", (draw.choice(SILENCED),)),))
+
+
 def draw_faults(draw: random.Random, firmware: str, count: int) -> tuple[Fault, ...]:
     """`count` faults of different kinds."""
     kinds = draw.sample(sorted(KINDS), min(count, len(KINDS)))

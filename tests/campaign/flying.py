@@ -35,6 +35,8 @@ WALL_LIMIT_S = 600.0
 """Our time that a flight may take; on an idle machine it takes 4 s."""
 FREE_SPEED = 20.0
 """How much faster than real time the stub goes on when its companion is gone."""
+AGAIN_SPEED = 2.0
+"""The same where another one follows: it must find the vehicle where it was left, not landed long ago."""
 AFTERWARDS_S = 90.0
 """Simulated time that an autopilot has to bring down what was left in the air."""
 HANDED_BACK_S = 6.0
@@ -76,6 +78,8 @@ def arguments(planned: PlannedFlight, log: Path) -> list[str]:
     words += ["--level", planned.level, "--trajectory", planned.trajectory]
     words += ["--duration", f"{planned.duration_s:g}", "--seed", str(planned.seed % 1000)]
     words += ["--log", str(log), "--overwrite", "--json", "--fix"]
+    if any("autopilot" in str(fault.value("senders")) for fault in planned.faults):
+        words += ["--system", "1"]  # two autopilots are refused where nobody says which
     for text in planned.overrides():
         words += ["--set", text]
     return words
@@ -86,7 +90,7 @@ def stub_options(planned: PlannedFlight, folder: Path) -> list[str]:
     vehicle = folder / "vehicle.toml"
     vehicle.write_text(planned.vehicle_file())
     words = ["--vehicle", str(vehicle), "--estimator", planned.estimator, "--lockstep"]
-    words += ["--wind", f"{planned.wind_m_s:g},{planned.gust_m_s:g}", "--speed", f"{FREE_SPEED:g}"]
+    words += ["--wind", f"{planned.wind_m_s:g},{planned.gust_m_s:g}"]
     words += ["--ready-after", "1"] if planned.firmware == "ardupilot" else []
     if planned.faults:
         file = folder / "scenario.toml"
@@ -117,7 +121,7 @@ def fly(
         return _fly_as_command(planned, folder)
     began_s = time.monotonic()
     tape = Tape()
-    stub = _start_stub(planned, folder, tape, heading_rad, has_pilot)
+    stub = _start_stub(planned, folder, tape, heading_rad, has_pilot, AGAIN_SPEED if again else FREE_SPEED)
     log = folder / "flight.mcap"
     try:
         endpoint = _endpoint(stub, folder)
@@ -142,6 +146,12 @@ def fly(
             code = companion.wait(WALL_LIMIT_S)
             ended_s = tape.now_s
             if again and code == -9:
+                # The stub goes on before the second takes the port: else it would wait for the dead one's answer.
+                tape.companion_gone = True
+                deadline = time.monotonic() + _STARTING_S
+                while tape.now_s <= ended_s and stub.poll() is None and time.monotonic() < deadline:
+                    time.sleep(0.001)
+                tape.companion_gone = False
                 second = fork(second_main, folder / "again.out", folder / "again.err", folder)
                 second.wait(WALL_LIMIT_S)
                 second.end(0.0)
@@ -170,7 +180,7 @@ def fly(
 
 
 def _start_stub(
-    planned: PlannedFlight, folder: Path, tape: Tape, heading_rad: float, has_pilot: bool
+    planned: PlannedFlight, folder: Path, tape: Tape, heading_rad: float, has_pilot: bool, speed: float
 ) -> Child:
     options = [
         "--firmware",
@@ -181,7 +191,7 @@ def _start_stub(
         "0",
         "--json",
     ]
-    options += ["--die-with-parent", *stub_options(planned, folder)]
+    options += ["--die-with-parent", *stub_options(planned, folder), "--speed", f"{speed:g}"]
 
     def stub_main() -> int:
         watch_stub(tape, planned.gone_at_s, heading_rad, has_pilot)
@@ -239,7 +249,8 @@ def _fly_as_command(planned: PlannedFlight, folder: Path) -> Flown:
     """As a user does: `companion fly --sitl`, a process that imports everything anew."""
     began_s = time.monotonic()
     log = folder / "flight.mcap"
-    options = shlex.join(word for word in stub_options(planned, folder) if word != "--lockstep")
+    words = [word for word in stub_options(planned, folder) if word != "--lockstep"]
+    options = shlex.join([*words, "--speed", f"{FREE_SPEED:g}"])
     words = [sys.executable, "-m", "companion.cli.main", *arguments(planned, log)]
     words += ["--sitl", planned.stub_firmware, "--sitl-options", options]
     code: int | None = None

@@ -53,7 +53,15 @@ QUIET_RMS_M = {"mocap": 0.25, "perfect": 0.25}
 """What a flight to which nothing was done may be off while tracking, by estimator; GPS wanders by more than it tracks."""
 TRUTH_BENDING = ("motor_failure", "reboot", "pilot_disarm", "pilot_kill", "pilot_mode", "pilot_sticks")
 FALLING = ("motor_failure", "reboot", "pilot_disarm", "pilot_kill")
-LINK = ("link_loss", "link_delay", "link_jitter", "link_reorder", "link_corrupt", "link_truncate")
+LINK = (
+    "link_loss",
+    "link_delay",
+    "link_jitter",
+    "link_reorder",
+    "link_corrupt",
+    "link_truncate",
+    "link_pieces",
+)
 CLOCKS = ("clock_jump", "clock_drift", "reboot")
 MOVED_FRAMES = ("estimator_reset", "estimator_divergence", "gps_loss")
 """The local frame is reset, at once or when the fault ends, and the companion moves its fence along with it."""

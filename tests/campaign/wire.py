@@ -18,6 +18,8 @@ SETPOINTS = (SET_ATTITUDE_TARGET, SET_ACTUATOR_CONTROL_TARGET)
 DO_SET_MODE, ARM_DISARM = 176, 400
 ARMED_FLAG = 128
 PX4, ARDUPILOT = 12, 3
+AUTOPILOT = (1, 1)
+"""System and component of the one that is flown; what others send is no evidence."""
 _OFFBOARD_MAIN, _GUIDED = 6, 4
 _CHANNEL, _MESSAGE, _CHUNK, _FOOTER = 4, 5, 6, 2
 _MAGIC = b"\x89MCAP0\r\n"
@@ -32,6 +34,12 @@ class Frame:
     message_id: int
     payload: bytes
     system: int = 1
+    component: int = 1
+
+    @property
+    def sender(self) -> tuple[int, int]:
+        """System and component."""
+        return self.system, self.component
 
     def unpack(self, layout: str) -> tuple[float, ...]:
         """Fields by `struct` layout; zeros that MAVLink 2 cut off at the end are put back."""
@@ -50,7 +58,7 @@ class Wire:
 
 
 def read_wire(path: Path, utc_offset_ns: int) -> Wire:
-    """Frames of a flight log. What stands behind a cut is not there; nothing raises but a file that is no MCAP file.
+    """Frames of a flight log, ours and the autopilot's. What stands behind a cut is not there.
 
     Raises:
         ValueError: the file does not begin as an MCAP file does.
@@ -72,7 +80,9 @@ def read_wire(path: Path, utc_offset_ns: int) -> Wire:
                 if inner == _MESSAGE:
                     channel = record[0] | record[1] << 8
                     if channel in directions:
-                        frames.append(_frame(directions[channel], bytes(record[22:])))
+                        frame = _frame(directions[channel], bytes(record[22:]))
+                        if frame.outgoing or frame.sender == AUTOPILOT:
+                            frames.append(frame)
     return Wire(tuple(frames), whole, (newest_ns - utc_offset_ns) * 1e-9)
 
 
@@ -108,9 +118,9 @@ def _frame(outgoing: bool, record: bytes) -> Frame:
 def frame_of(outgoing: bool, time_s: float, frame: bytes) -> Frame:
     """A frame from its bytes, MAVLink 1 or 2."""
     if frame[:1] == b"\xfe":
-        return Frame(outgoing, time_s, frame[5], frame[6 : 6 + frame[1]], frame[3])
+        return Frame(outgoing, time_s, frame[5], frame[6 : 6 + frame[1]], frame[3], frame[4])
     number = frame[7] | frame[8] << 8 | frame[9] << 16
-    return Frame(outgoing, time_s, number, frame[10 : 10 + frame[1]], frame[5])
+    return Frame(outgoing, time_s, number, frame[10 : 10 + frame[1]], frame[5], frame[6])
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from companion.config.settings import load_settings
 from companion.flight.phases import Phase
@@ -99,13 +100,16 @@ def fly_short(
     settings: Sequence[str] = (),
     level: str = "attitude",
     trajectory: str = "lemniscate",
+    system: int | None = None,
     profile: str | None = "qball2",
-    **options: bool,
+    **options: Any,
 ) -> Flown:
     """Fly SHORT in this process and read the log back."""
     loaded = load_settings(profile, {"level": level, "trajectory": trajectory}, [*SHORT, *settings])
     reporter, log = Watching(at or {}), folder / "flight.mcap"
-    session = SessionOptions(Connection(parse_endpoint(stub.endpoint)), log, overwrite=True, **options)
+    session = SessionOptions(
+        Connection(parse_endpoint(stub.endpoint), system=system), log, overwrite=True, **options
+    )
     result = fly(loaded, session, reporter)
     return Flown(result, read_log(log), reporter, log)
 

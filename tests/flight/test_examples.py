@@ -48,6 +48,21 @@ def test_a_trajectory_of_ones_own(tmp_path: Path) -> None:
     assert "20 s; halfway at [-0.12  0.79  1.  ] m" in said
 
 
+def test_references_from_another_program(tmp_path: Path) -> None:
+    """In real time, since the example paces itself by the wall clock: it is followed until it ends."""
+    client = subprocess.Popen([sys.executable, str(EXAMPLES / "stream_references.py"), "14797", "24"])
+    flight = "fly --sitl px4 --real-time --trajectory live:udp:14797 --duration 40 --log live.mcap --set"
+    hold = "flight.procedure.hold_s=0.2"
+    try:
+        run(tmp_path, "-m", "companion.cli.main", *flight.split(), hold)
+    finally:
+        client.kill()
+        client.wait()
+    record = companion.read_log(tmp_path / "live.mcap")
+    assert record.events_of("ended")[-1].fields["outcome"] == "completed"
+    assert int(record.metadata["wall references"]["followed"]) > 100
+
+
 def test_a_law_of_ones_own_flies_is_logged_and_replays(tmp_path: Path) -> None:
     """Its text is in the log, and runs from there only where that is asked for."""
     law, log = tmp_path / "my_law.py", tmp_path / "own.mcap"

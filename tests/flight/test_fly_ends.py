@@ -157,11 +157,12 @@ def test_a_mistake_in_the_law_lands_the_vehicle_and_is_not_hidden(stub, tmp_path
         return step(self, *arguments)
 
     monkeypatch.setattr(ControlLaw, "step_packed", broken)
-    with pytest.raises(ZeroDivisionError):
-        fly_short(stub, tmp_path)
-    record = read_log(tmp_path / "flight.mcap")
-    assert record.events_of("ended")[-1].fields["outcome"] == "aborted"
-    assert [event.fields["armed"] for event in record.events_of("armed")] == [True, False]
+    flown = fly_short(stub, tmp_path)
+    assert flown.result.outcome is Outcome.ABORTED
+    assert "ZeroDivisionError('of this test')" in flown.result.text
+    assert flown.armed == [True, False]
+    [mistake] = read_log(tmp_path / "flight.mcap").events_of("mistake")
+    assert "in broken" in mistake.fields["text"]
 
 
 # We die -------------------------------------------------------------------------------------------------

@@ -72,7 +72,7 @@ def refusal(folder: Path, peer: SigningPeer | None, key: bytes | None) -> str:
                 f"udpin:127.0.0.1:{port}",
                 folder,
                 signing_key=None if key is None else key_file(folder, key),
-                settings={"procedure.connect_timeout_s": 3.0},
+                settings={"procedure.connect_timeout_s": 6.0},
             )
         except UserError as error:
             return str(error)

@@ -155,7 +155,7 @@ def log_seeds() -> list[bytes]:
     with FlightLog(path, {"seed": "1"}, {"settings.json": "{}"}, channels=[STATE], utc_offset_ns=0) as log:
         state, weights = log.define(STATE), log.define(weights_channel("position", 2))
         for k in range(4):
-            log.record(state, 0.01 * k, np.arange(15.0))
+            log.record(state, 0.01 * k, np.arange(14.0))
             log.record(weights, 0.01 * k, np.zeros((2, 3)))
             log.mavlink("in", 0.01 * k, b"\xfd\x01" + bytes(8))
         log.event("phase", 0.02, phase="track")

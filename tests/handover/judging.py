@@ -14,7 +14,9 @@ from campaign.wire import is_ours
 
 from handover.cells import ENDS, Cell
 
-RISE_M, RISE_KILLED_M = 0.5, 1.0
+RISE_M = 0.5
+RISE_UNHEARD_M = 1.0
+"""Below attitude level, where nothing more reaches the autopilot: a companion killed, a link that stays lost."""
 PLAN_TOP_M = 0.9
 """Of the trajectory flown, with its take-off height of 0.8 m."""
 TILT_DEG = 35.0
@@ -67,8 +69,9 @@ def judge(cell: Cell, flown: Flown) -> Verdict:
     rise = float(np.max(height[span])) - limit
     tilts = _tilt_deg(box[span])
     sink = _sink_at_ground(box, height, first)
-    killed = cell.end.startswith("killed")
-    if rise > (RISE_KILLED_M if killed and cell.level != "attitude" else RISE_M):
+    # the last thrust stands until the autopilot's own timeout
+    unheard = cell.end.startswith("killed") or cell.end == "link lost"
+    if rise > (RISE_UNHEARD_M if unheard and cell.level != "attitude" else RISE_M):
         broken = (*broken, f"rose {rise:.2f} m")
     if not end.falls and float(np.max(tilts)) > TILT_DEG + TILT_SLACK_DEG:
         broken = (*broken, f"tilted {float(np.max(tilts)):.0f}°")

@@ -134,7 +134,7 @@ def slow_disk(folder: Path, seconds: float = 10.0) -> dict[str, Any]:
             os.fdatasync = os.fsync = lambda _fd: time.sleep(0.5)
         try:
             log = FlightLog(folder / f"{name}.mcap", channels=[STATE])
-            state, numbers, costs = log.define(STATE), np.zeros(15), []
+            state, numbers, costs = log.define(STATE), np.zeros(14), []
             started = time.perf_counter()
             for step in range(round(seconds * 100)):
                 time.sleep(max(0.0, started + 0.01 * step - time.perf_counter()))

@@ -25,7 +25,7 @@ if option == "limited":
     resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, resource.RLIM_INFINITY))
     slowest = 0.0
     for i in range(4000):
-        numbers = rng.normal(size=15)
+        numbers = rng.normal(size=14)
         start = time.perf_counter()
         log.record(state, 0.004 * i, numbers)
         slowest = max(slowest, time.perf_counter() - start)
@@ -39,7 +39,7 @@ os.write(1, bytes(8))
 start = time.monotonic()
 while True:
     now = time.monotonic() - start
-    numbers = np.zeros(15)
+    numbers = np.zeros(14)
     numbers[0] = now
     log.record(state, now, numbers)
     log.record(weights, now, rng.normal(size=(20, 3)))

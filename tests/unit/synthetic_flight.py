@@ -103,7 +103,7 @@ def write(
             t = time - TRACK_FROM_S
             tracking = track and t >= 0
             position, velocity = lemniscate(t)
-            log.record(state, time, flown(time, ESTIMATE_OFF_M), 0.01, 0.004)
+            log.record(state, time, flown(time, ESTIMATE_OFF_M), 0.01)
             motion = np.concatenate((position, velocity, np.zeros(9)))
             log.record(reference, time, motion, 0.3, 0.0, 0.0, t if tracking else np.nan)
             log.record(

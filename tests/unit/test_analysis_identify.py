@@ -63,7 +63,7 @@ def write_flight(path, level, asked, was, fine_s, noise, seed=3):
                     measured,
                 )
             log.record(setpoints, t, 0.0, 10.0, 0.4, q, rate, np.zeros(3))
-            log.record(states, t, np.zeros(3), np.zeros(3), q_state, rate_state, 0.0, 0.0)
+            log.record(states, t, np.zeros(3), np.zeros(3), q_state, rate_state, 0.0)
     return path
 
 

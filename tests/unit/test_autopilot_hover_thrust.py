@@ -161,3 +161,10 @@ def test_a_lift_off_that_tells_something_absurd_is_believed_within_bounds() -> N
     estimator = HoverThrustEstimator(0.5, 0.02, 20.0)
     estimator.lifted_off(0.06, 0.25, 0.0)
     assert estimator.hover_thrust >= 0.5 / 2.5
+
+
+@pytest.mark.parametrize("true", [0.20, 0.37, 0.75])
+def test_what_the_autopilot_hovers_with_is_believed_however_wrong_the_parameter(true):
+    estimator = HoverThrustEstimator(0.37, 0.02, 20.0)
+    estimator.hovered(true)
+    assert estimator.hover_thrust == pytest.approx(true, rel=0.01)

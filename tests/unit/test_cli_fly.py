@@ -45,6 +45,8 @@ STUB = ("--sitl", "px4")
         ((*STUB, "--duration", "-1"), "duration_s"),
         ((*STUB, "--duration", "nan"), "duration_s"),
         ((*STUB, "--seed", "-1"), "seed"),
+        ((*STUB, "--from-air", "--fix"), "companion check --fix"),
+        ((*STUB, "--sitl-options=--airborne 0.1"), "--airborne"),
         ((*STUB, "--sitl-options=--no-such-option"), "--no-such-option"),
         ((*STUB, "--sitl-options=--wind gale"), "--wind"),
         ((*STUB, "--log", "."), "."),

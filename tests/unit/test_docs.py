@@ -25,10 +25,11 @@ from companion.control import laws, registry
 from companion.control.compiled import python_twin
 from companion.control.laws import LAWS
 from companion.control.structs import AdaptationGate, ControlLevel, Reference, VehicleState
+from companion.live.trajectory import trajectory_or_live
 from companion.mavlink.endpoint import parse_endpoint
 from companion.reference.csv_file import csv_trajectory
 from companion.reference.minimum_snap import waypoint_trajectory
-from companion.reference.registry import CATALOGUE, describe_trajectories, trajectory_from_text
+from companion.reference.registry import CATALOGUE, describe_trajectories
 
 PROJECT = Path(__file__).resolve().parents[2]
 PAGES = sorted([PROJECT / "README.md", *(PROJECT / "docs").rglob("*.md")])
@@ -164,9 +165,9 @@ def check_values(arguments: argparse.Namespace, shown: str) -> None:
 def check_trajectory(text: str) -> None:
     head = text.partition(",")[0]
     name = head.partition(":")[0]
-    if name in ("waypoints", "csv") or Path(head).suffix in (".toml", ".csv"):
+    if name in ("waypoints", "csv", "mission") or Path(head).suffix in (".toml", ".csv"):
         return  # the reader's own file
-    trajectory_from_text(text)
+    trajectory_or_live(text)
 
 
 def check_overrides(overrides: list[str], profile: str = "qball2") -> None:

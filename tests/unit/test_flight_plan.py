@@ -9,10 +9,10 @@ import pytest
 
 from companion.control.structs import Reference
 from companion.flight.phases import Phase
-from companion.flight.plan import lay_out, stopping_plan, tracking_time
+from companion.flight.plan import lay_out, lay_out_in_air, stopping_plan, tracking_time
 from companion.reference.registry import trajectory_from_text
 from companion.reference.trajectory import Frame, place
-from companion.reference.transit import TransitLimits
+from companion.reference.transit import TransitLimits, run_out
 
 LIMITS = TransitLimits(speed_m_s=0.8, acceleration_m_s2=0.8, jerk_m_s3=2.0, height_min_m=0.25)
 ORDER = [
@@ -127,3 +127,23 @@ def test_stopping_from_full_flight():
     rest = plan.sample(plan.duration_s)
     np.testing.assert_allclose(rest.velocity_enu, np.zeros(3), atol=1e-9)
     np.testing.assert_allclose(rest.position_enu, plan.legs[0].trajectory.sample(1e3).position_enu, atol=1e-6)
+
+
+def test_a_plan_that_begins_in_the_air_begins_as_the_vehicle_moves_and_ends_where_it_stopped():
+    zero = np.zeros(3)
+    velocity = np.array([1.5, -1.0, 0.2])
+    start = Reference(np.array([3.0, 4.0, 5.0]), velocity, zero, zero, zero, 0.7, 0.0, 0.0)
+    stop = run_out(start, LIMITS)
+    rest = stop.sample(stop.duration_s)
+    trajectory = place(trajectory_from_text("circle"), Frame.TAKEOFF, rest.position_enu, rest.yaw_rad)
+    plan = lay_out_in_air(stop, trajectory, 10.0, 2.0, LIMITS)
+    assert [leg.phase for leg in plan.legs] == [Phase.STOP, *ORDER[1:]]
+    np.testing.assert_allclose(plan.sample(0.0).position_enu, start.position_enu, atol=1e-12)
+    np.testing.assert_allclose(plan.sample(0.0).velocity_enu, velocity, atol=1e-12)
+    end = plan.sample(plan.duration_s)
+    np.testing.assert_allclose(end.position_enu, rest.position_enu, atol=1e-9)
+    np.testing.assert_allclose(end.velocity_enu, 0.0, atol=1e-9)
+    for leg in plan.legs[1:]:
+        before, after = plan.sample(leg.start_s - 1e-7), plan.sample(leg.start_s + 1e-7)
+        np.testing.assert_allclose(before.position_enu, after.position_enu, atol=1e-5)
+        np.testing.assert_allclose(before.velocity_enu, after.velocity_enu, atol=1e-5)

@@ -99,7 +99,7 @@ def test_a_full_file_system_is_survived(tmp_path):
         with writer.FlightLog(mount / "a.mcap", channels=[STATE], minimum_free_bytes=0) as log:
             channel = log.define(STATE)
             for i in range(6000):
-                log.record(channel, 0.004 * i, rng.normal(size=15))
+                log.record(channel, 0.004 * i, rng.normal(size=14))
                 if i % 500 == 0:
                     time.sleep(0.06)
         health = log.close()
@@ -129,7 +129,7 @@ def test_when_there_is_room_again_the_log_goes_on_and_says_what_is_missing(tmp_p
         if full:
             log.metadata("late", {"a": "b"})
         for i in range(100):
-            log.record(channel, stage + 0.004 * i, np.zeros(15))
+            log.record(channel, stage + 0.004 * i, np.zeros(14))
         log._drain()
     full = False
     health = log.close()
@@ -153,7 +153,7 @@ def test_a_disk_that_stands_still_does_not_hold_the_control_thread(tmp_path, mon
     )
     log = writer.FlightLog(tmp_path / "a.mcap", channels=[STATE])
     channel = log.define(STATE)
-    numbers = np.zeros(15)
+    numbers = np.zeros(14)
     start = time.perf_counter()
     for i in range(2000):
         log.record(channel, 0.004 * i, numbers)
@@ -167,7 +167,7 @@ def test_a_disk_that_never_answers_does_not_hold_the_end(tmp_path, monkeypatch):
     monkeypatch.setattr(
         "companion.flightlog.mcap_file.os.write", lambda fd, data: time.sleep(3.0) or len(data)
     )
-    log.record(log.define(STATE), 1.0, np.zeros(15))
+    log.record(log.define(STATE), 1.0, np.zeros(14))
     start = time.perf_counter()
     assert "did not answer" in log.close(timeout_s=0.2).trouble
     assert time.perf_counter() - start < 2.0

@@ -143,7 +143,7 @@ def test_poses_are_in_foxgloves_schemas_at_an_eyes_rate(flight):
 
 def test_a_pose_holds_the_logged_position(tmp_path):
     with FlightLog(tmp_path / "a.mcap", channels=[STATE], utc_offset_ns=0) as log:
-        log.record(log.define(STATE), 1.0, np.array([1.25, -2.5, 3.75, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0.0]))
+        log.record(log.define(STATE), 1.0, np.array([1.25, -2.5, 3.75, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0.0]))
     with (tmp_path / "a.mcap").open("rb") as file:
         data = next(m.data for _, c, m in make_reader(file).iter_messages() if c.topic == "/pose/state")
     for number in (1.25, -2.5, 3.75):  # protobuf doubles stand in the bytes as they are
@@ -151,15 +151,13 @@ def test_a_pose_holds_the_logged_position(tmp_path):
 
 
 def test_records_in_parts_and_packed_are_the_same(tmp_path):
-    numbers = np.arange(1.0, 16.0)
+    numbers = np.arange(1.0, 15.0)
     with FlightLog(tmp_path / "a.mcap", channels=[STATE], utc_offset_ns=0) as log:
         channel = log.define(STATE)
         log.record(channel, 1.0, numbers)
-        log.record(
-            channel, 1.0, numbers[:3], numbers[3:6], numbers[6:10], numbers[10:13], 14.0, np.float64(15)
-        )
+        log.record(channel, 1.0, numbers[:3], numbers[3:6], numbers[6:10], numbers[10:13], np.float64(14))
         log.record(channel, 1.0, numbers[::-1][::-1].astype(np.float32))
-    assert (read_log(tmp_path / "a.mcap").channels["/state"].values == np.arange(1.0, 16.0)).all()
+    assert (read_log(tmp_path / "a.mcap").channels["/state"].values == np.arange(1.0, 15.0)).all()
 
 
 def test_a_record_that_does_not_fit_is_counted_and_said_and_costs_nothing_else(tmp_path):
@@ -167,7 +165,7 @@ def test_a_record_that_does_not_fit_is_counted_and_said_and_costs_nothing_else(t
         channel = log.define(STATE)
         log.record(channel, 1.0, np.zeros(14))
         log.record(channel, 1.0, "text")
-        log.record(channel, 1.0, np.zeros(15))
+        log.record(channel, 1.0, np.zeros(13))
     health = log.close()
     assert health.rejected == 2 and not health.complete
     record = read_log(tmp_path / "a.mcap")
@@ -181,7 +179,7 @@ def test_a_full_queue_drops_and_says_so(tmp_path):
     )
     channel = log.define(STATE)
     for i in range(100):
-        log.record(channel, 0.004 * i, np.zeros(15))
+        log.record(channel, 0.004 * i, np.zeros(14))
     health = log.close()
     record = read_log(tmp_path / "a.mcap")
     assert health.dropped + len(record.channels["/state"]) == 100 and health.dropped >= 50
@@ -234,7 +232,7 @@ def test_digest_does_not_care_for_utc_or_the_clock_of_events(tmp_path):
     for name, offset, wall in (("a", 5, 1.0), ("b", 10**18, 2.0)):
         mav = mavutil.mavlink.MAVLink(None)
         with FlightLog(tmp_path / name, {"seed": "1"}, channels=[STATE], utc_offset_ns=offset) as log:
-            log.record(log.define(STATE), 1.0, np.zeros(15))
+            log.record(log.define(STATE), 1.0, np.zeros(14))
             log.event("ended", 2.0, outcome="completed", wall_s=wall)
             log.record(log.define(ESTIMATES), 1.0, 0.5, wall, wall, 0.02, 12.0)
             mav.seq = int(wall)

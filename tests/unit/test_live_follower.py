@@ -95,27 +95,61 @@ def at_start() -> Follower:
 @pytest.mark.parametrize(
     ("what", "rate_hz", "within_m"),
     [
-        ("pva", 50, 1e-4),
-        ("pv", 50, 2e-4),
-        ("p", 50, 1e-3),
-        ("pva", 20, 5e-4),
-        ("p", 20, 2e-3),
-        ("p", 100, 1e-3),
+        ("pva", 50, 1e-3),
+        ("pv", 50, 1.5e-3),
+        ("p", 50, 0.01),
+        ("pva", 20, 1.5e-3),
+        ("p", 20, 0.012),
+        ("p", 100, 0.01),
+        ("pv", 10, 3e-3),
+        ("p", 10, 0.06),
     ],
 )
 def test_a_dense_stream_is_followed_as_it_is(what: str, rate_hz: float, within_m: float) -> None:
     flown = Flown(at_start(), stream(what, rate_hz), 20.0)
     assert flown.error(5.0) < within_m
     assert flown.follower.following is Following.STREAM
-    flown.require_continuous(acceleration_m_s2=4.5)
+    flown.require_continuous(acceleration_m_s2=4.5 if "v" in what else 7.0)
 
 
-@pytest.mark.parametrize(("what", "within_m"), [("pva", 1e-3), ("p", 5e-3)])
+@pytest.mark.parametrize(("what", "within_m"), [("pva", 2e-3), ("p", 0.015)])
 def test_loss_jitter_and_reordering_cost_little(what: str, within_m: float) -> None:
     flown = Flown(at_start(), stream(what, loss=0.05, jitter_s=0.04), 20.0)
     assert flown.error(5.0) < within_m
     assert flown.follower.counters["out of order"] > 50
     flown.require_continuous(acceleration_m_s2=9.0, jump_m_s2=4.0)
+
+
+@pytest.mark.parametrize(("noise_m", "within_m"), [(0.001, 0.015), (0.003, 0.04), (0.02, 0.2)])
+def test_noise_and_rounding_make_it_slower_and_not_wild(noise_m: float, within_m: float) -> None:
+    """Positions alone of a motion-capture system, or rounded to centimetres (0.003 m): the lemniscate's own 2.5 m/s² and
+    what a low-pass leaves of the noise; twice differentiated at 50 Hz as it comes, 0.01 m would be 60 m/s²."""
+    draw = random.Random(3)
+
+    def noisy(_t: float, point: Point) -> Point:
+        point.position[:] += [draw.gauss(0.0, noise_m) for _ in range(3)]
+        return point
+
+    flown = Flown(at_start(), stream("p", changed=noisy), 20.0)
+    assert flown.error(5.0) < within_m
+    flown.require_continuous(acceleration_m_s2=7.0)
+    assert flown.follower.following is Following.STREAM
+
+
+def test_a_point_from_which_no_stop_stays_inside_is_refused() -> None:
+    """At 3 m/s: 0.32 s of going on, then 3²/2.5 · 0.94 = 3.4 m: 4.3 m and a bit before the wall at 10 m."""
+    follower = Follower(
+        resting(np.array([3.0, 0.0, 2.0]), 0.0),
+        0.0,
+        LIMITS,
+        allowed=lambda p, a: "outside" if p[0] > 10 else "",
+    )
+    fast = np.array([3.0, 0.0, 0.0])
+    follower.take(Point(1.0, np.array([5.0, 0.0, 2.0]), fast), 1.0)
+    with pytest.raises(BadPoint, match="too fast to stop in time: outside"):
+        follower.take(Point(1.1, np.array([6.0, 0.0, 2.0]), fast), 1.1)
+    follower.sample(1.3)
+    follower.take(Point(1.3, np.array([9.9, 0.0, 2.0]), np.zeros(3)), 1.3)
 
 
 def test_velocity_alone_is_integrated() -> None:
@@ -167,13 +201,16 @@ def test_a_jump_of_ten_metres_is_flown_within_limits(what: str) -> None:
     flown = Flown(at_start(), stream(what, until_s=40.0, changed=moved), 40.0)
     speeds = [np.linalg.norm(r.velocity_enu) for r in flown.references]
     assert max(speeds) < 1.5 + 1.2  # the transit's and the stream's own
-    flown.require_continuous(acceleration_m_s2=2.0 + 2.5)
-    assert flown.error(34.0) < 1e-3
+    flown.require_continuous(acceleration_m_s2=2.0 + (2.5 if what == "pva" else 4.0))
+    assert flown.error(34.0) < 0.01
 
 
 def test_what_cannot_be_followed_is_counted_and_refused_in_words() -> None:
     follower = Follower(
-        resting(np.zeros(3), 0.0), 0.0, LIMITS, allowed=lambda p: "outside: of the fence" if p[0] > 5 else ""
+        resting(np.zeros(3), 0.0),
+        0.0,
+        LIMITS,
+        allowed=lambda p, a: "outside: of the fence" if p[0] > 5 else "",
     )
     here = np.array([0.1, 0.0, 0.0])
     follower.take(Point(10.0, here), 1.0)
@@ -194,7 +231,7 @@ def test_what_cannot_be_followed_is_counted_and_refused_in_words() -> None:
     with pytest.raises(BadPoint, match=r"late: by 0\.35 s"):
         follower.take(Point(10.1, here), 1.45)
     assert follower.counters["followed"] == 1 and sum(follower.counters.values()) == 12
-    assert follower.heard_s == 1.0
+    assert follower.heard_s == 1.05  # by the one outside the fence: its client is there
 
 
 def test_polynomial_pieces_follow_one_another() -> None:
@@ -231,7 +268,7 @@ def test_nothing_that_can_come_in_makes_a_step(arrivals: list[tuple[float, Point
         resting(np.zeros(3), 0.0),
         0.0,
         LIMITS,
-        allowed=lambda p: "far: away" if np.abs(p).max() > 20.0 else "",
+        allowed=lambda p, a: "far: away" if np.abs(p).max() > 20.0 else "",
     )
     flown = Flown(near, arrivals, 6.0)
     p, v = (

@@ -156,3 +156,13 @@ def test_a_drift_of_up_to_a_percent_is_taken_along(drift):
             assert sync.autopilot_time_s(at_s) == pytest.approx(clock(at_s), abs=2e-3)
             assert sync.steady
     assert sync.drift == pytest.approx(drift, abs=1e-3)
+
+
+def test_a_lockstep_clock_that_runs_as_fast_as_ours_on_average_is_not_steady():
+    """A slow machine: in fits and starts of up to 0.1 s, and so no drift is proven; an age would be told that is none."""
+    draw, sync, autopilot_s = random.Random(3), TimeSync(), 10.0
+    for index in range(60):
+        autopilot_s = max(autopilot_s + 0.001, 10.0 + 0.1 * index + draw.uniform(-0.05, 0.05))
+        exchange(sync, 5.0 + 0.1 * index, 200e-6, 200e-6, lambda now_s, at=autopilot_s: at)
+    assert abs(sync.drift) < 0.02
+    assert not sync.steady

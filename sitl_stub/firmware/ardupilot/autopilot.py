@@ -17,7 +17,7 @@ from sitl_stub.firmware.ardupilot.flight_modes import FlightModes
 from sitl_stub.firmware.ardupilot.guided import Guided
 from sitl_stub.firmware.ardupilot.land_detector import LandDetector
 from sitl_stub.firmware.ardupilot.messages import ArduPilotMessages
-from sitl_stub.firmware.ardupilot.modes import mode_named
+from sitl_stub.firmware.ardupilot.modes import Mode, mode_named
 from sitl_stub.firmware.ardupilot.parameter_protocol import ArduPilotParameterProtocol
 from sitl_stub.firmware.ardupilot.parameters import ArduPilotParameters
 from sitl_stub.firmware.ardupilot.protocol import ArduPilotProtocol
@@ -94,6 +94,17 @@ class ArduPilot(Autopilot):
     def send_following(self) -> int:
         """Texts said since the last instant, then the streams: an acknowledgement comes before its explanation."""
         return self.voice.send_waiting() + super().send_following()
+
+    def take_off_alone(self, height_m: float) -> None:
+        """GUIDED and NAV_TAKEOFF as a ground station asks for them; then LOITER, the sticks centred."""
+        commander = self.commander
+        commander.request_mode(Mode.GUIDED.custom_mode)
+        self.run_until(lambda: not commander.arming_refusals(), 120.0, "not ready to arm")
+        commander.request_arm(forced=False)
+        commander.request_take_off(height_m)
+        self.run_until(lambda: self.hovers_at(height_m), 120.0, f"not at {height_m:g} m")
+        self.pilot_mode(Mode.LOITER.name)
+        self.run_until(lambda: self.hovers_at(height_m), 30.0, f"not at rest at {height_m:g} m")
 
     # --- the pilot ---------------------------------------------------------------------------------------------
     def pilot_mode(self, name: str) -> None:

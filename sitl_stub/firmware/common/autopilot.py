@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
+
 from sitl_stub.firmware.common.clock import Clock
 from sitl_stub.firmware.common.commands import CommandProtocol, MessageHandler, Result
 from sitl_stub.firmware.common.interference import Interference, Undisturbed
@@ -105,6 +107,26 @@ class Autopilot:
     def estimate_jumped(self, jump_ned: tuple[float, float, float], yaw_rad: float) -> None:
         """The estimator has been reset: own modes take their setpoints along, so that the vehicle stays where it is."""
         raise NotImplementedError
+
+    def take_off_alone(self, height_m: float) -> None:
+        """Before anybody listens: arm, climb to `height_m` above the ground and hold there.
+
+        Raises ValueError where it cannot arm or does not come up.
+        """
+        raise NotImplementedError
+
+    def run_until(self, condition: Callable[[], bool], within_s: float, what: str) -> None:
+        """Go on until `condition()` holds; raises ValueError after `within_s` of simulated time."""
+        end_us = self.core.time_us + round(within_s * 1e6)
+        while not condition():
+            if self.core.time_us >= end_us:
+                raise ValueError(f"--airborne: {what} after {within_s:.0f} s")
+            self.step()
+
+    def hovers_at(self, height_m: float) -> bool:
+        """Whether it stands still at that height above home, within 5 cm and 5 cm/s."""
+        high = abs(self.state.height_above_home_m - height_m) < 0.05
+        return high and bool(np.linalg.norm(self.core.velocity_ned) < 0.05)
 
     # --- what can be seen --------------------------------------------------------------------------------------
     @property

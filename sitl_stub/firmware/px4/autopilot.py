@@ -100,6 +100,16 @@ class Px4(Autopilot):
         elif self.navigator.update(LOGIC_PERIOD_US * 1e-6):
             self.commander.takeoff_done()
 
+    def take_off_alone(self, height_m: float) -> None:
+        """TAKEOFF as a ground station asks for it; then LOITER."""
+        commander = self.commander
+        self.run_until(lambda: commander.arming_refusal() is None, 120.0, "not ready to arm")
+        commander.request_arm(True, forced=False)
+        self.navigator.takeoff_altitude_m = height_m
+        commander.request_mode(Mode.TAKEOFF)
+        self.run_until(lambda: self.state.mode is Mode.LOITER, 120.0, f"not at {height_m:g} m")
+        self.run_until(lambda: self.hovers_at(height_m), 30.0, f"not at rest at {height_m:g} m")
+
     # --- the pilot ---------------------------------------------------------------------------------------------
     def pilot_mode(self, name: str) -> None:
         """The pilot, sticks centred, switches to the mode of that name."""
