@@ -21,6 +21,7 @@ COMMANDS = (
     "analyze",
     "compare",
     "identify",
+    "adopt",
     "replay",
     "recover",
     "export",

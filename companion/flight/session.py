@@ -19,6 +19,7 @@ import numpy as np
 
 from companion.autopilot.adapter import Finding, Intent, Verdict
 from companion.autopilot.attitude_response import AttitudeResponseMeter
+from companion.autopilot.drag import DragMeter
 from companion.autopilot.hover_thrust import HoverThrustEstimator
 from companion.autopilot.thrust import ThrustScale, mixer_of
 from companion.config.provenance import Known, as_text, is_given
@@ -356,9 +357,15 @@ def _control_loop(
     )
     loop = ControlLoop(vehicle, law, predictor, thrust, estimator, settings.flight, recorder, gate, laws)
     given = settings.given
-    looked = given is None or is_given(given, f"responses.{adapter.profile_key}")  # its author has
-    if settings.level is ControlLevel.ATTITUDE and not looked:
-        loop.measure(AttitudeResponseMeter(response.dead_time_s, response.tilt))
+    if given is not None:  # what somebody wrote is flown as it is
+        answers = settings.level is ControlLevel.ATTITUDE and not is_given(
+            given, f"responses.{adapter.profile_key}"
+        )
+        drags = settings.level is not ControlLevel.ACTUATOR and not is_given(given, "drag_kg_s")
+        loop.measure(
+            AttitudeResponseMeter(response.dead_time_s, response.tilt) if answers else None,
+            DragMeter() if drags else None,
+        )
     return loop
 
 
@@ -366,6 +373,10 @@ def _use_measured(
     known: KnownVehicle, loop: ControlLoop, log: FlightLog, reporter: Reporter, time_s: float
 ) -> None:
     """Fly on by the response that was measured, where it is known well enough and is another one; said and logged."""
+    drag = loop.measured_drag()
+    if drag is not None:
+        log.event("drag", time_s, drag_1_s=drag[0], deviation=drag[1])
+        reporter.say(f"measured: slowed down by {drag[0]:.2f} ± {drag[1]:.2f} m/s² for each m/s")
     measured = loop.measured()
     if measured is None or not measured.sure:
         return
