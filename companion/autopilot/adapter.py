@@ -220,6 +220,8 @@ class Adapter(ABC):
     """Whether ODOMETRY may be in MAV_FRAME_LOCAL_NED, so that its yaw is a heading; else MAV_FRAME_LOCAL_FRD only."""
     hover_thrust_parameter: str
     """The parameter that holds the thrust setpoint of hovering flight."""
+    mass_parameter = ""
+    """The parameter that holds its own simulator's mass, kg; empty where there is none."""
 
     @abstractmethod
     def mode(self, intent: Intent) -> Command:

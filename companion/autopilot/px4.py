@@ -80,6 +80,7 @@ class Px4(Adapter):
     takes_local_ned_odometry = True
     bytewise_parameters = True
     hover_thrust_parameter = "MPC_THR_HOVER"
+    mass_parameter = "SIH_MASS"
     pose_parameters = ("EKF2_EV_CTRL",)  # until 1.13: EKF2_AID_MASK, which is not looked at
 
     def mode(self, intent: Intent) -> Command:

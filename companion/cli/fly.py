@@ -357,6 +357,8 @@ def fly_once(
     simulator = (
         running_stub(arguments.sitl, seed, stub_words) if arguments.sitl else nullcontext(arguments.endpoint)
     )
+    if arguments.sitl and (other := _another_vehicle(arguments)):
+        reporter.say(f"warning: {other}")
     with simulator as address:
         options = SessionOptions(
             connection=connection_from(arguments, address),
@@ -381,6 +383,17 @@ def fly_once(
         finally:
             reporter.close()
     return result.outcome.value, result.text, result.outcome.exit_code
+
+
+def _another_vehicle(arguments: argparse.Namespace) -> str:
+    """What to say where the profile is not the one of the vehicle that the stub flies; empty where it is."""
+    own = _stubs_profile(arguments)
+    if own is None or arguments.profile in (None, own):
+        return ""
+    return (
+        f"the stub flies the vehicle of {own}, not that of --profile {arguments.profile}; "
+        'give it yours with --sitl-options "--vehicle NAME|FILE"'
+    )
 
 
 def _stubs_profile(arguments: argparse.Namespace) -> str | None:

@@ -22,6 +22,7 @@ COMMANDS = (
     "analyze",
     "compare",
     "identify",
+    "adopt",
     "replay",
     "recover",
     "export",

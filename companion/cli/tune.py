@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 EXAMPLE = """examples:
   companion tune --controller dtlannc --level attitude
-  companion tune --profile my_drone.toml --plant lagged --autopilot ardupilot --budget 300 --write my_drone.toml
+  companion tune --profile my_drone.toml --autopilot ardupilot --budget 300 --write my_drone.toml
   companion tune --level actuator --only-verify          how the profile's gains stand up, no search
 
 The search starts from the same gentle gains for every law, or with --from-profile from the profile's.
@@ -43,9 +43,9 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument(
         "--plant",
-        default="stub",
         choices=("stub", "lagged"),
-        help="PX4's loops on the stub's vehicle, or the profile's responses (no torque level)",
+        help="PX4's loops on the stub's physics with the profile's mass, inertia and rotors, or the profile's responses "
+        "(no torque level); by default stub for a shipped profile, responses for one of your own",
     )
     parser.add_argument(
         "--estimator", default="mocap", choices=("mocap", "gps", "perfect", "sih_mocap"), help="its noise"
@@ -85,7 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise UserError("--budget must be 1 or more, --seed not negative, --delay between 0 and 0.5 s")
     from companion.config.settings import load_profile, select_gains
     from companion.control.laws import LAWS
-    from companion.tuning.flight import PlantChoice
+    from companion.tuning.flight import STUB_VEHICLES, PlantChoice
     from companion.tuning.objective import Objective
     from companion.tuning.session import Tuning
 
@@ -93,6 +93,11 @@ def run(arguments: argparse.Namespace) -> int:
     start = select_gains(profile, arguments.controller, arguments.level)
     if arguments.controller not in LAWS:
         raise UserError(f"there is no controller {arguments.controller!r}; there are {', '.join(LAWS)}")
+    if arguments.plant is None:
+        shipped = profile.name in STUB_VEHICLES or arguments.level == "actuator"
+        arguments.plant = "stub" if shipped else "lagged"
+    told = "PX4's loops on its mass, inertia and rotors" if arguments.plant == "stub" else "its responses"
+    print(f"what is flown is profile {profile.name!r}: {told}, {profile.mass_kg:g} kg", file=sys.stderr)
     plant = PlantChoice(arguments.plant, arguments.estimator, arguments.delay)
     objective = Objective(
         profile,
@@ -121,6 +126,8 @@ def run(arguments: argparse.Namespace) -> int:
         )
         tuned = tuning.run(arguments.budget, _report)
         gains = tuned.gains
+        if tuned.stopped:
+            print("stopped, verifying the best so far; Ctrl-C again ends without it", file=sys.stderr)
     flown = list(objective.verify(gains))
     _show(arguments, tuned, gains, flown)
     if arguments.write and tuned is not None:

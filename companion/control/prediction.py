@@ -24,6 +24,8 @@ from companion.control.structs import ControlLevel, Setpoint, Vector, VehicleSta
 RING = 64
 """Setpoints remembered: 0.25 s of them at 250 Hz, more than any dead time with a few rotor lags."""
 LONGEST_SUBSTEP_S = 0.004
+USUAL_OVER_S = 0.25
+"""The thrust that is not decided yet is the mean of those sent so long, s."""
 TIME, THRUST, QUATERNION, RATE, TORQUE, ROW = 0, 1, 2, 6, 9, 12
 """Columns of a remembered setpoint: when all but its thrust acts (s), N, wxyz, rad/s, N·m."""
 
@@ -96,6 +98,10 @@ def predict(
     `ring` (n, 12) holds `count` rows ordered by the time at which they begin to act, their thrust `model[15]` later;
     `mass` in kg is the one that turns thrust setpoints into the acceleration they really give. Nothing is allocated
     on the way: with some 25 substeps a call that cost more than the arithmetic.
+
+    The thrust that is asked for next acts before `end`, where it passes by the loops that turn the vehicle. From then on
+    the thrust is taken to be what it has been in the mean: were the last one held, the law would answer its own answer,
+    and with 0.13 s of dead time and a lead against slow rotors thrust swung between its bounds.
     """
     out = state.copy()
     position, velocity, quaternion, rate = out[0:3], out[3:6], out[6:10], out[10:13]
@@ -108,6 +114,12 @@ def predict(
     torque = ring[0, TORQUE:ROW].copy()
     angular, turn = np.empty(3), np.empty(3)
     later = model[15]
+    decided = end + min(0.0, later)
+    usual, recent = 0.0, 0
+    while recent < count and ring[count - 1 - recent, TIME] > ring[count - 1, TIME] - USUAL_OVER_S:
+        usual += ring[count - 1 - recent, THRUST]
+        recent += 1
+    usual /= recent
     now = min(start, ring[0, TIME] + min(0.0, later))
     row = thrust_row = 0
     while now < end:
@@ -122,10 +134,15 @@ def predict(
             until = min(until, ring[row + 1, TIME])
         if thrust_row + 1 < count:
             until = min(until, ring[thrust_row + 1, TIME] + later)
+        if now < decided - 1e-9:
+            until = min(until, decided)
         flying = now >= start - 1e-9
         dt = min(until - now, LONGEST_SUBSTEP_S) if flying else until - now
         settle = -math.expm1(-model[11] * dt)
-        thrust += settle * (ring[thrust_row, THRUST] - thrust)
+        wanted = ring[thrust_row, THRUST]
+        if now >= decided - 1e-9:
+            wanted = usual
+        thrust += settle * (wanted - thrust)
         for i in range(3):
             torque[i] += settle * (ring[row, TORQUE + i] - torque[i])
         if flying:

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from companion.autopilot.attitude_response import AttitudeResponseMeter, MeasuredResponse
+from companion.autopilot.drag import DragMeter
 from companion.autopilot.hover_thrust import HoverThrustEstimator
 from companion.autopilot.thrust import ThrustScale
 from companion.config.profile import VehicleProfile
@@ -109,6 +110,7 @@ class ControlLoop:
         self._sender = SetpointSender(vehicle, thrust, gate, hover, predictor, recorder)
         self._settings = settings
         self._recorder = recorder
+        self._drag: DragMeter | None = None
         self._memory: Memory = law.initial_memory()
         self._plan: FlightPlan | None = None
         self._watching: Watching | None = None
@@ -273,13 +275,17 @@ class ControlLoop:
         self._last_step_s = state.time_s - self.period_s
         self.activity = Activity.FOLLOW
 
-    def measure(self, meter: AttitudeResponseMeter) -> None:
-        """Let `meter` see setpoints and attitudes from now on."""
-        self._sender.meter = meter
+    def measure(self, response: AttitudeResponseMeter | None, drag: DragMeter | None) -> None:
+        """Let them see what is sent and what becomes of it, from now on; drag is flown with as it is found."""
+        self._sender.meter, self._drag = response, drag
 
     def measured(self) -> MeasuredResponse | None:
         """How the attitude loop has answered so far; None where that is not measured."""
         return None if self._sender.meter is None else self._sender.meter.measured()
+
+    def measured_drag(self) -> tuple[float, float] | None:
+        """Horizontal drag per mass as found so far, 1/s, and its standard deviation; None where it is not measured."""
+        return None if self._drag is None else self._drag.measured()
 
     def change_law(self, law: ControlLaw, profile: VehicleProfile, autopilot: str) -> None:
         """Go on in flight with gains and prediction for another response of the autopilot, without a step in what is sent.
@@ -299,7 +305,7 @@ class ControlLoop:
         self._memory = law.take_over(
             Memory(packed),
             ahead,
-            self._sample(ahead.time_s),
+            self._asked(ahead.time_s),
             self._sender.asked_thrust_newton,
             self._sender.asked_quaternion,
         )
@@ -442,6 +448,9 @@ class ControlLoop:
         self._estimate_hover(state, trusted=ours and judgement.gate is AdaptationGate.RUN)
         if self._sender.meter is not None and ours:
             self._sender.meter.update(state.time_s, state.quaternion_wxyz)
+        if self._drag is not None:
+            free = judgement.gate is AdaptationGate.RUN and jump is None
+            self._drag.update(state.time_s, state.velocity_enu, state.quaternion_wxyz, free)
         if judgement.yaw_jump_rad or self._plan is not plan:
             reference = self._sample(state.time_s)
         self.position_error_enu = reference.position_enu - state.position_enu
@@ -454,7 +463,7 @@ class ControlLoop:
         law_ns = time.perf_counter_ns()
         ahead = self._predictor.predict(state)
         inputs = pack_input(
-            ahead, self._sample(ahead.time_s), dt_s, judgement.gate, self._thrust_bounds_newton
+            ahead, self._asked(ahead.time_s), dt_s, judgement.gate, self._thrust_bounds_newton
         )
         try:
             result = self._law.step_packed(self._memory, inputs)
@@ -521,6 +530,11 @@ class ControlLoop:
         if self._shift_enu is not None:
             reference = replace(reference, position_enu=reference.position_enu + self._shift_enu)
         return reference
+
+    def _asked(self, time_s: float) -> Reference:
+        """The plan as the law gets it: with the accelerations that thrust has to make."""
+        reference = self._sample(time_s)
+        return reference if self._drag is None else self._drag.with_drag(reference)
 
     # The supervisor's word ------------------------------------------------------------------------------
 

@@ -28,6 +28,7 @@ from companion.flight.vehicle import HANDLED, Vehicle
 from companion.mavlink.frames import enu_from_global
 from companion.mavlink.link import Message, mav
 from companion.mavlink.protocol import request_message
+from companion.reference.mission import Mission
 from companion.reference.trajectory import Frame, place
 from companion.reference.transit import run_out
 
@@ -248,15 +249,17 @@ class FlightFromAir(Flight):
         limits = self._transit_limits(ground_m)
         stop = run_out(engagement.start, limits)
         rest = stop.sample(stop.duration_s)
-        origin = rest.position_enu.copy()
+        home = self._home = at_rest(engagement.home_enu, rest.yaw_rad)
         if self._live is not None:
-            origin[2] = ground_m
-            self._ground_left = at_rest(origin, rest.yaw_rad)
-            self._live.stand_above(self._ground_left, float(rest.position_enu[2]) - ground_m)
-        elif request.frame is not Frame.LOCAL:
-            origin[2] -= float(request.trajectory.sample(0.0).position_enu[2])
-        trajectory = place(request.trajectory, request.frame, origin, rest.yaw_rad)
-        plan = lay_out_in_air(stop, trajectory, request.duration_s, self._settings.procedure.hold_s, limits)
+            self._live.wait_at(rest, ground_m)
+        if isinstance(request.trajectory, Mission):
+            trajectory = self._located(request.trajectory, home)
+        else:
+            origin = rest.position_enu.copy()
+            if request.frame is not Frame.LOCAL:
+                origin[2] -= float(request.trajectory.sample(0.0).position_enu[2])
+            trajectory = place(request.trajectory, request.frame, origin, rest.yaw_rad)
+        plan = lay_out_in_air(stop, trajectory, self._tracked_s, self._settings.procedure.hold_s, limits)
         least_m = max(LEAST_ABOVE_GROUND_M, self._vehicle.status.height_accuracy_m or 0.0)
         height_m = lowest_m(trajectory, request.duration_s) - ground_m
         if height_m < least_m:

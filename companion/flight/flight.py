@@ -95,7 +95,7 @@ class Flight:
         self._check_plan = check_plan
         self._use_measured = use_measured
         self._loop: ControlLoop
-        self._ground_left: Reference  # where it stood when it was armed
+        self._home: Reference  # where it took off
         self._stage = Stage(vehicle, recorder, reporter, then=request.then)
         live = request.trajectory if isinstance(request.trajectory, LiveTrajectory) else None
         self._live = LiveReferences(self._stage, settings, live, request.frame) if live is not None else None
@@ -221,11 +221,10 @@ class Flight:
             self._stage.enter(Phase.ARM)
             self._arm()
         ground = self._ground()
-        plan = self._lay_out(
-            ground
-        )  # milliseconds, so on the ground: at lift-off only its climb is planned anew
+        # milliseconds, so on the ground: at lift-off only its climb is planned anew
+        plan = self._lay_out(ground)
         self._announce(plan)
-        self._ground_left = ground
+        self._home = ground
         self._stage.enter(Phase.LIFT_OFF)
         vehicle.taken_off = True
         vehicle.link.look_out(False)
@@ -240,9 +239,10 @@ class Flight:
         start = replace(at_rest(state.position_enu, ground.yaw_rad), velocity_enu=rising)
         self._stage.plan = plan.climbing_from(start, self._transit_limits(float(ground.position_enu[2])))
         loop.follow(self._stage.plan, state)
-        self._reporter.say(
-            f"off the ground at thrust {loop.lift_off_thrust:.2f}; flying {self._stage.plan.duration_s:.0f} s"
+        flying = (
+            f"flying {self._stage.plan.duration_s:.0f} s" if self._live is None else "waiting for references"
         )
+        self._reporter.say(f"off the ground at thrust {loop.lift_off_thrust:.2f}; {flying}")
 
     def _announce(self, plan: FlightPlan) -> None:
         """Log the trajectory's path, and how it lies: errors are judged along its own axes."""
@@ -306,21 +306,27 @@ class Flight:
         return detector.has_left(state.time_s, height_m, speed_m_s, loop.lift_off_thrust / loop.hover_thrust)
 
     def _lay_out(self, ground: Reference) -> FlightPlan:
-        settings, request = self._settings, self._request
-        beyond_s = 0.0
+        settings = self._settings
         if self._live is not None:
-            self._live.stand_above(ground)
-            beyond_s = BEYOND_END_S
+            up = np.array([0.0, 0.0, settings.takeoff_height_m])
+            self._live.wait_at(
+                at_rest(ground.position_enu + up, ground.yaw_rad), float(ground.position_enu[2])
+            )
         trajectory = self._above_ground(ground)
         limits = self._transit_limits(float(ground.position_enu[2]))
         return lay_out(
             ground,
             trajectory,
-            request.duration_s + beyond_s,
+            self._tracked_s,
             settings.procedure.hold_s,
-            float(ground.position_enu[2]) + settings.takeoff_height_m,
+            settings.takeoff_height_m,
             limits,
         )
+
+    @property
+    def _tracked_s(self) -> float:
+        """For how long tracking is laid out: references of another program are looked ahead of at their end, too."""
+        return self._request.duration_s + (BEYOND_END_S if self._live is not None else 0.0)
 
     def _above_ground(self, ground: Reference) -> Trajectory:
         """The trajectory laid out, and raised where it comes lower than the height estimate may be wrong.
@@ -330,7 +336,14 @@ class Flight:
         """
         request, accuracy_m = self._request, self._vehicle.status.height_accuracy_m or 0.0
         if isinstance(request.trajectory, Mission):
-            return self._located(request.trajectory, ground, accuracy_m)
+            laid_out = self._located(request.trajectory, ground)
+            least_m = lowest_m(laid_out, laid_out.duration_s) - float(ground.position_enu[2])
+            if least_m < accuracy_m:
+                raise Refused(
+                    f"{request.trajectory.name} comes down to {least_m:.2f} m, and the height may be wrong by "
+                    f"{accuracy_m:.2f} m (ESTIMATOR_STATUS): fly higher, or wait until the estimate has settled"
+                )
+            return laid_out
         laid_out = place(request.trajectory, request.frame, ground.position_enu, ground.yaw_rad)
         least_m = lowest_m(laid_out, request.duration_s) - float(ground.position_enu[2])
         wanted_m = max(self._raised_m, accuracy_m - least_m)
@@ -352,25 +365,15 @@ class Flight:
             ground.yaw_rad,
         )
 
-    def _located(self, mission: Mission, ground: Reference, accuracy_m: float) -> Trajectory:
-        """A mission where its places lie. Raises Refused where that is not known, or too low for the height estimate."""
+    def _located(self, mission: Mission, home: Reference) -> Trajectory:
+        """A mission where its places lie; `home` is where the vehicle took off. Raises Refused where that is not known."""
         origin = self._vehicle.status.global_origin
         if origin is None:
             raise Refused(
                 f"{mission.name} has latitudes and longitudes, and the autopilot does not say where its local frame lies "
                 "(GPS_GLOBAL_ORIGIN): does it have a GPS fix?"
             )
-        laid_out = mission.located(origin, ground.position_enu, ground.yaw_rad)
-        times = np.linspace(0.0, laid_out.duration_s, LOWEST_SAMPLES)
-        lowest_m = min(
-            float(laid_out.sample(t).position_enu[2] - ground.position_enu[2]) for t in times.tolist()
-        )
-        if lowest_m < accuracy_m:
-            raise Refused(
-                f"{mission.name} comes down to {lowest_m:.2f} m, and the height may be wrong by {accuracy_m:.2f} m "
-                "(ESTIMATOR_STATUS): fly higher, or wait until the estimate has settled"
-            )
-        return laid_out
+        return mission.located(origin, home.position_enu, home.yaw_rad)
 
     def _transit_limits(self, ground_m: float) -> TransitLimits:
         procedure = self._settings.procedure
@@ -472,7 +475,10 @@ class Flight:
     def _follow_plan(self) -> None:
         assert self._stage.plan is not None
         loop, plan = self._loop, self._stage.plan
-        for leg in plan.legs:
+        for number in range(len(plan.legs)):
+            leg = plan.legs[
+                number
+            ]  # as it is by then: where references end early, those behind it are planned anew
             self._stage.enter(leg.phase)
             if leg.phase in (Phase.RUN_IN, Phase.TRACK):
                 self._use_measured(loop, self._vehicle.link.autopilot_time_s)
@@ -505,9 +511,9 @@ class Flight:
 
     def _follow_references(self, live: LiveReferences, plan: FlightPlan, leg: Leg) -> None:
         """Track what another program asks for, until it ends or the time is over."""
-        loop, ground = self._loop, self._ground_left
-        limits = self._transit_limits(float(ground.position_enu[2]))
-        live.begin(leg, loop, ground, limits)
+        loop, home = self._loop, self._home
+        limits = self._transit_limits(float(home.position_enu[2]))
+        live.begin(leg, loop, home, limits)
         duration_s = self._request.duration_s
         self._vehicle.until(lambda: bool(loop.held) or live.is_over(leg, loop, duration_s))
         if not loop.held:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from companion.autopilot.adapter import Finding, Verdict
 from companion.autopilot.attitude_response import MeasuredResponse
 from companion.autopilot.vehicle_parameters import summary
 from companion.config.profile import VehicleProfile
@@ -10,6 +11,8 @@ from companion.config.settings import Settings, resolved
 from companion.flight.reporter import Reporter
 from companion.flight.vehicle import Vehicle
 
+UNLIKELY = 1.5
+"""A mass or lag that is written so many times as large or small as the vehicle's is another vehicle's."""
 MEASURED = "measured in flight"
 MEASURED_LAG_MARGIN = 1.1
 """What is left unknown: the fit is to calm motion, and large turns may take longer."""
@@ -48,6 +51,43 @@ class KnownVehicle:
         )
         if first and (text := summary(used)):
             self._reporter.say(f"from the autopilot: {text}")
+
+    def doubts(self, vehicle: Vehicle) -> list[Finding]:
+        """Where what somebody wrote of the vehicle cannot be this one's, by its parameters or its simulator's."""
+        given, key = self.settings.given, self.autopilot
+        if given is None or key is None:
+            return []
+        found = []
+        if vehicle.adapter.mass_parameter and is_given(given, "mass_kg") and vehicle.simulated:
+            vehicle.read_parameters((vehicle.adapter.mass_parameter,))
+            mass_kg = vehicle.parameters.values.get(vehicle.adapter.mass_parameter)
+            if mass_kg and not 1.0 / UNLIKELY < self.profile.mass_kg / mass_kg < UNLIKELY:
+                found.append(
+                    self._doubt(
+                        "mass", f"{mass_kg:.3g} kg in the simulator", f"{self.profile.mass_kg:.3g} kg"
+                    )
+                )
+        response = self.profile.response(key)
+        total_s = response.dead_time_s + response.tilt.lag_s
+        told_s = self._told_lag_s(vehicle, key)
+        if is_given(given, f"responses.{key}") and not 1.0 / UNLIKELY < total_s / told_s < UNLIKELY:
+            found.append(self._doubt("attitude lag", f"{told_s:.2f} s by its parameters", f"{total_s:.2f} s"))
+        return found
+
+    def _doubt(self, subject: str, found: str, written: str) -> Finding:
+        return Finding(
+            Verdict.WARNING,
+            subject,
+            f"{found}, profile {self.profile.name!r} says {written}",
+            "is this the profile of this vehicle?",
+            "choose another --profile, or none: what the autopilot tells is then flown and measured",
+        )
+
+    def _told_lag_s(self, vehicle: Vehicle, key: str) -> float:
+        told = {item.key: item.value for item in vehicle.adapter.tells(vehicle.parameters.values, 0)}
+        head = f"responses.{key}."
+        tilt = 2.0 * told[head + "tilt.damping"] / told[head + "tilt.natural_frequency_rad_s"]
+        return float(told[head + "dead_time_s"] + tilt)
 
     def measured(self, response: MeasuredResponse) -> bool:
         """Put what was measured in flight in place of what the parameters told; False where somebody wrote it.

@@ -15,7 +15,7 @@ from companion.flight.phases import Phase
 from companion.flight.plan import FlightPlan, Leg, way_back
 from companion.flight.stage import Stage
 from companion.flightlog.channels import LIVE_SAMPLED
-from companion.live.follower import LOOK_AHEAD_S
+from companion.live.follower import LOOK_AHEAD_S, stop_limits
 from companion.live.heard import Heard
 from companion.live.mavlink_points import Surroundings
 from companion.live.trajectory import Beginning, LiveTrajectory
@@ -41,13 +41,12 @@ class LiveReferences:
         live.on_heard = self._log_heard
         live.on_sampled = self._log_sampled
 
-    def stand_above(self, ground: Reference, height_m: float | None = None) -> None:
-        """Where to wait for the first point: above the place of take-off, at its height or at `height_m`."""
-        up = np.array([0.0, 0.0, self._settings.takeoff_height_m if height_m is None else height_m])
+    def wait_at(self, rest: Reference, home_m: float) -> None:
+        """Where to wait for the first point, local ENU; heights of own axes count from `home_m`, that of the take-off."""
         if self._frame is Frame.TAKEOFF:
-            self._live.stand_at(up, 0.0)
+            self._live.stand_at(np.array([0.0, 0.0, float(rest.position_enu[2]) - home_m]), 0.0)
         else:
-            self._live.stand_at(ground.position_enu + up, ground.yaw_rad)
+            self._live.stand_at(rest.position_enu, rest.yaw_rad)
 
     def begin(self, leg: Leg, loop: ControlLoop, ground: Reference, limits: TransitLimits) -> None:
         """Tracking begins: follow what comes."""
@@ -105,8 +104,9 @@ class LiveReferences:
         """Plan the way back from where the vehicle is, from the first moment that the law has not looked at."""
         self._left = True
         cut_s = self._live.latest_s
+        now = leg.trajectory.sample(cut_s)
         plan.change_from(
-            leg.start_s + cut_s, way_back(leg.trajectory.sample(cut_s), self._above_home(plan), limits)
+            leg.start_s + cut_s, way_back(now, self._above_home(plan), limits, stop_limits(limits))
         )
 
     def tell(self) -> None:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from companion.control.structs import Reference
 from companion.flight.phases import Phase
 from companion.reference.hold import Hold
-from companion.reference.trajectory import Placed, Trajectory, resting
+from companion.reference.trajectory import Placed, Trajectory, resting, told_in_flight
 from companion.reference.transit import TransitLimits, climb, run_in, run_out, transit
 
 STANDS_S = 0.1
@@ -32,7 +32,8 @@ class Leg:
     def moves_s(self) -> float:
         """For how long there is something to look at: a vehicle may stand at one point for hours."""
         own = self.trajectory.trajectory if isinstance(self.trajectory, Placed) else self.trajectory
-        return min(self.duration_s, STANDS_S) if isinstance(own, Hold) else self.duration_s
+        stands = isinstance(own, Hold) or told_in_flight(own)
+        return min(self.duration_s, STANDS_S) if stands else self.duration_s
 
 
 class FlightPlan:
@@ -126,10 +127,10 @@ def _there_and_back(
 
 
 def way_back(
-    now: Reference, above_home: Reference, limits: TransitLimits
+    now: Reference, above_home: Reference, limits: TransitLimits, stop_limits: TransitLimits | None = None
 ) -> list[tuple[Phase, Trajectory, float]]:
-    """The legs after tracking: from a moving reference to rest, and to rest at `above_home`."""
-    leave = run_out(now, limits)
+    """The legs after tracking: from a moving reference to rest (within `stop_limits`), and to rest at `above_home`."""
+    leave = run_out(now, stop_limits or limits)
     back = transit(leave.sample(leave.duration_s), above_home, limits)
     return [(Phase.RUN_OUT, leave, leave.duration_s), (Phase.RETURN, back, back.duration_s)]
 

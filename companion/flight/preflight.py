@@ -148,7 +148,7 @@ class Preflight:
                     "choose another --profile, or correct hover_thrust in it",
                 )
             )
-        return findings
+        return [*findings, *self._known.doubts(vehicle)]
 
     def fix(self, findings: list[Finding], *, for_good: bool) -> list[Finding]:
         """Set what is safe to set, for this flight or for good, note it in `changed`, and judge again.

@@ -19,6 +19,7 @@ import numpy as np
 
 from companion.autopilot.adapter import Finding, Intent, Verdict
 from companion.autopilot.attitude_response import AttitudeResponseMeter
+from companion.autopilot.drag import DragMeter
 from companion.autopilot.hover_thrust import HoverThrustEstimator
 from companion.autopilot.thrust import ThrustScale, mixer_of
 from companion.config.provenance import Known, as_text, is_given
@@ -45,7 +46,7 @@ from companion.flight.standby import ENGAGE_PORT, Standby, StandbyFlight, Wishes
 from companion.flight.vehicle import Vehicle
 from companion.flightlog.law_channels import LATER_SETTINGS, LAW_TEXT
 from companion.flightlog.writer import FlightLog
-from companion.live.trajectory import PREFIX, LiveTrajectory, trajectory_or_live
+from companion.live.trajectory import LiveTrajectory, trajectory_or_live
 from companion.mavlink.bandwidth import LinePlan, describe, plan_line
 from companion.mavlink.connection import Connection
 from companion.mavlink.link import mav
@@ -356,9 +357,15 @@ def _control_loop(
     )
     loop = ControlLoop(vehicle, law, predictor, thrust, estimator, settings.flight, recorder, gate, laws)
     given = settings.given
-    looked = given is None or is_given(given, f"responses.{adapter.profile_key}")  # its author has
-    if settings.level is ControlLevel.ATTITUDE and not looked:
-        loop.measure(AttitudeResponseMeter(response.dead_time_s, response.tilt))
+    if given is not None:  # what somebody wrote is flown as it is
+        answers = settings.level is ControlLevel.ATTITUDE and not is_given(
+            given, f"responses.{adapter.profile_key}"
+        )
+        drags = settings.level is not ControlLevel.ACTUATOR and not is_given(given, "drag_kg_s")
+        loop.measure(
+            AttitudeResponseMeter(response.dead_time_s, response.tilt) if answers else None,
+            DragMeter() if drags else None,
+        )
     return loop
 
 
@@ -366,6 +373,10 @@ def _use_measured(
     known: KnownVehicle, loop: ControlLoop, log: FlightLog, reporter: Reporter, time_s: float
 ) -> None:
     """Fly on by the response that was measured, where it is known well enough and is another one; said and logged."""
+    drag = loop.measured_drag()
+    if drag is not None:
+        log.event("drag", time_s, drag_1_s=drag[0], deviation=drag[1])
+        reporter.say(f"measured: slowed down by {drag[0]:.2f} ± {drag[1]:.2f} m/s² for each m/s")
     measured = loop.measured()
     if measured is None or not measured.sure:
         return
@@ -420,10 +431,8 @@ def _check_plan(settings: Settings, plan: FlightPlan, ground_m: float) -> None:
         height_min_m=ground_m + 0.1,
         height_max_m=ground_m + settings.flight.safety.fence.height_max_m,
     )
-    live = settings.flight.trajectory.startswith(PREFIX)  # it stands still so far
-    check_feasibility(leg.trajectory, limits, 1.0 if live else leg.moves_s).require(
-        settings.flight.trajectory
-    )
+    # what is told in flight is checked as it comes
+    check_feasibility(leg.trajectory, limits, leg.moves_s).require(settings.flight.trajectory)
 
 
 @contextmanager

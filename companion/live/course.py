@@ -30,6 +30,12 @@ class Course:
         out: Vector = self._table.dot(np.array((1.0, t, t2, t3, t4, t4 * t, t6, t6 * t, t8, t8 * t)))
         return out.reshape(5, 4)
 
+    def moved(self, shift: Vector) -> Course:
+        """The same motion elsewhere: `shift` (4,) x, y, z, yaw."""
+        table = self._table.copy()
+        table[:4, 0] += shift
+        return Course(self.start_s, self.until_s, table)
+
 
 def course(coefficients: Vector, start_s: float, until_s: float = math.inf) -> Course:
     """The course with `coefficients` (4, n ≤ 10), ascending powers of the time since `start_s`, m and rad."""

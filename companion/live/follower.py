@@ -29,7 +29,7 @@ from companion.control.structs import Reference, Vector
 from companion.live.client_clock import ClientClock
 from companion.live.course import Course, course, reference_of
 from companion.live.fading_fit import FadingFit
-from companion.live.offsets import Decay, Way, way_out
+from companion.live.offsets import Decay, Way, place_left, way_out
 from companion.live.point import BadPoint, Point, PolynomialPiece
 from companion.reference.polynomial import piece
 from companion.reference.trajectory import wrapped
@@ -62,6 +62,7 @@ STOP_SHARE = 0.55
 MOST_PIECES = 64
 PIECE_SAMPLES = 33
 _STILL: Vector = np.zeros(3)
+_NONE: Vector = np.zeros(4, dtype=bool)
 
 
 class OutOfBounds(BadPoint):
@@ -104,11 +105,7 @@ class Follower:
             allowed: why a position (3,) m may not be flown to with an acceleration (3,) m/s²; empty when it may.
         """
         self._limits = limits
-        self._stop_limits = replace(
-            limits,
-            acceleration_m_s2=max(limits.acceleration_m_s2, STOP_M_S2),
-            jerk_m_s3=max(limits.jerk_m_s3, STOP_M_S3),
-        )
+        self._stop_limits = stop_limits(limits)
         self._silence_s = silence_s
         self._allowed = allowed
         self._clock = ClientClock()
@@ -161,6 +158,11 @@ class Follower:
             raise
         self.counters["followed"] += 1
 
+    def forget_client(self) -> None:
+        """Another may be next, with a clock of its own; what is flown goes on."""
+        self._clock, self._newest_s, self._interval_s = ClientClock(), -math.inf, math.inf
+        self._forget()
+
     def _take_piece(self, asked: PolynomialPiece, arrived_s: float) -> float:
         """Put a piece behind those that are there; returns when it ends."""
         if self.is_full:
@@ -200,6 +202,7 @@ class Follower:
             gap_s = time_s - self._newest_s
             known = math.isfinite(self._interval_s)
             self._interval_s = 0.7 * self._interval_s + 0.3 * gap_s if known else gap_s
+        stands = self._last is not None and np.array_equal(given[0], self._last[0], equal_nan=True)
         jumped = self._jumped(given, time_s)
         self._newest_s, self._last = time_s, given
         self._pieces.clear()
@@ -208,23 +211,26 @@ class Follower:
         dense = self._interval_s < DENSE_S
         moves = not unknown[1:3, :3].all()
         alone = not dense and not unknown[0, :3].any() and math.isfinite(self._interval_s)
-        if alone or not (moves or dense):
+        if alone or not (moves or dense) or (stands and not moves and self._fit.count < FIT_POINTS[0]):
             self._change_to(course(place[:, None], time_s), smoothly=True)
         elif (
             moves or self._fit.count >= FIT_POINTS[0]
         ):  # of the first positions alone nothing can be made yet
             target = self._course_of(given, unknown, time_s, flown)
             self._require_allowed(target, time_s)
-            self._change_to(target, found=not moves)
+            self._change_to(target, found=not moves, free=unknown[0])
 
     def _jumped(self, given: Vector, time_s: float) -> bool:
-        """Whether the point lies off where the one before was going."""
+        """Whether place or velocity lie off where those before were going."""
         if self._last is None:
             return False
-        way = given[0, :3] - self._last[0, :3]
-        way[np.isnan(way)] = 0.0
-        going = self._course.at(time_s)[1, :3] * (time_s - self._newest_s)
-        return min(_length(way), _length(way - going)) > JUMP_M
+        steps = given[:2, :3] - self._last[:2, :3]
+        steps[np.isnan(steps)] = 0.0
+        going = self._course.at(time_s)[1:3, :3] * (time_s - self._newest_s)
+        return any(
+            min(_length(steps[order]), _length(steps[order] - going[order])) > most
+            for order, most in enumerate((JUMP_M, JUMP_M_S))
+        )
 
     def _take_into_fit(self, given: Vector, unknown: Vector, time_s: float, jumped: bool) -> None:
         """The highest derivative that is given tells those above it; another one, or a jump, begins a new fit."""
@@ -323,8 +329,13 @@ class Follower:
                 table += offset.at(time_s)
         return table
 
-    def _change_to(self, target: Course, smoothly: bool = False, found: bool = False) -> None:
+    def _change_to(
+        self, target: Course, smoothly: bool = False, found: bool = False, free: Vector = _NONE
+    ) -> None:
         """Fly `target` from now on; the difference to what is flown dies away. `smoothly`: within the limits.
+
+        Along axes that are `free` (4,) no place was asked for: there a velocity is taken up without making up for the
+        way that was lost meanwhile.
 
         What was `found` from positions seems to jump within a stream where there is noise: there the points tell.
         Raises BadPoint for one jump after another.
@@ -339,6 +350,9 @@ class Follower:
         if self._quick is not None:
             gap += self._quick.at(from_s)
         if not jumps and not (smoothly and away_m + off_m_s + turned_rad > 1e-9):
+            if free.any():
+                shift = np.where(free, gap[0] - place_left(gap, self._pole_1_s), 0.0)
+                target, gap[0] = target.moved(shift), gap[0] - shift
             self._course = target
             self._quick = Decay(gap, from_s, self._pole_1_s) if gap[:4].any() else None
             if self.following is not Following.TRANSIT:
@@ -348,9 +362,12 @@ class Follower:
             raise BadPoint(f"jumps: again within {JUMPS_APART_S:g} s")
         if self._slow is not None:
             gap += self._slow.at(from_s)
-        self._require_way(target.at(from_s)[0, :3], gap[0, :3])
-        self._course, self._quick = target, None
-        self._slow = way_out(gap, self._limits, from_s)
+        if free[:3].all() and (free[3] or not gap[:, 3].any()):
+            self._stop_offset(reference_of(gap), target, self._limits)
+        else:
+            self._require_way(target.at(from_s)[0, :3], gap[0, :3])
+            self._course, self._quick = target, None
+            self._slow = way_out(gap, self._limits, from_s)
         self._planned_s = from_s
         self.following = Following.TRANSIT
 
@@ -364,19 +381,32 @@ class Follower:
 
     def _rest_after(self, now: Reference) -> None:
         """The smooth stop from `now`; what stands at its end is held for good."""
-        way = run_out(now, self._stop_limits)
-        end = way.sample(way.duration_s)
-        coefficients = way.piece.coefficients.copy()
-        place = np.array((*end.position_enu, end.yaw_rad))
-        coefficients[:, 0] -= place
-        self._course = course(place[:, None], self._front_s)
-        self._slow, self._quick = Way((piece(way.duration_s, coefficients),), self._front_s), None
+        self._stop_offset(now, course(np.zeros((4, 1)), self._front_s), self._stop_limits)
         self._forget()
         self._interval_s = math.inf
+
+    def _stop_offset(self, gap: Reference, target: Course, limits: TransitLimits) -> None:
+        """Let the offset `gap` to `target` come to rest where it does, and let the target go on from there."""
+        way = run_out(gap, limits)
+        end = way.sample(way.duration_s)
+        left = np.array((*end.position_enu, end.yaw_rad))
+        coefficients = way.piece.coefficients.copy()
+        coefficients[:, 0] -= left
+        self._course, self._quick = target.moved(left), None
+        self._slow = Way((piece(way.duration_s, coefficients),), self._front_s)
 
     def _forget(self) -> None:
         """What came until now tells nothing of what comes next."""
         self._fit, self._fitted, self._last = FadingFit(), (), None
+
+
+def stop_limits(limits: TransitLimits) -> TransitLimits:
+    """Limits of the stop after a stream, whose points are refused where it would lead outside."""
+    return replace(
+        limits,
+        acceleration_m_s2=max(limits.acceleration_m_s2, STOP_M_S2),
+        jerk_m_s3=max(limits.jerk_m_s3, STOP_M_S3),
+    )
 
 
 _FACTORIALS = np.array([1.0, 1.0, 2.0, 6.0])

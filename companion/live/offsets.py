@@ -43,6 +43,16 @@ class Decay:
         return out.reshape(5, 4)
 
 
+def place_left(table: Vector, pole_1_s: float) -> Vector:
+    """(4,) from where a `Decay` of this velocity, acceleration and jerk comes to zero without turning back.
+
+    Its velocity dies away with a threefold pole then, and this is minus its way: −(3λ² v + 3λ a + j)/λ³.
+    """
+    _, v, a, j = table[:4]
+    place: Vector = -((j / pole_1_s + 3.0 * a) / pole_1_s + 3.0 * v) / pole_1_s
+    return place
+
+
 class Way:
     """Polynomials, the last of which ends at zero with its derivatives: within the limits of a transit."""
 

@@ -176,7 +176,7 @@ class LineSource:
         if line is None and not self._over and self._arrivals.poll(0):
             data = os.read(self._file, _QUEUE_BYTES)
             self._over = not data
-            self._text += data
+            self._text += data or b"\n"  # the last line may have none
             line = self._line()
         if line is None and self._over:
             return b'{"end": true}'

@@ -77,6 +77,7 @@ class LiveTrajectory:
     """See the module. A `Trajectory` in the autopilot's local frame for MAVLink, in the axes of `--frame` otherwise."""
 
     duration_s = math.inf
+    told_in_flight = True
 
     def __init__(self, address: LiveAddress) -> None:
         self._address = address
@@ -194,6 +195,8 @@ class LiveTrajectory:
     def take(self, heard: Heard) -> None:
         """Do what a datagram asks for, or refuse it in words."""
         self._around = heard.around
+        if self._follower is not None and self.silent_s(heard.time_s) > RELEASE_S:
+            self._follower.forget_client()
         try:
             asked = self._mavlink.parse(heard.data) if self.is_mavlink else [parse(heard.data)]
         except BadPoint as bad:
@@ -217,6 +220,8 @@ class LiveTrajectory:
             self.ended = True
             self.notices.append("references: the client says that it is over")
         else:
+            if self._follower is not None:
+                self._follower.forget_client()
             self._let_go("let go")
 
     def _follow(self, asked: Asked, now_s: float) -> str:

@@ -25,6 +25,7 @@ from companion.reference.lemniscate import Lemniscate
 from companion.reference.minimum_snap import waypoint_trajectory
 from companion.reference.mission_file import mission_trajectory
 from companion.reference.step import Step
+from companion.reference.steps import Steps
 from companion.reference.trajectory import Trajectory
 
 CATALOGUE: dict[str, Callable[..., Trajectory]] = {
@@ -32,6 +33,7 @@ CATALOGUE: dict[str, Callable[..., Trajectory]] = {
     "hover": Hold,
     "circle": Circle,
     "step": Step,
+    "steps": Steps,
     "waypoints": waypoint_trajectory,
     "csv": csv_trajectory,
     "mission": mission_trajectory,

@@ -105,13 +105,6 @@ class Placed:
         """Whether the trajectory placed jumps on purpose (see `step.py`)."""
         return bool(getattr(self.trajectory, "jumps_by_design", False))
 
-    def point_enu(self, position: Vector) -> Vector:
-        """Return where a point (3,) m of the trajectory's own axes lies in local ENU."""
-        x, y, z = position.tolist()
-        x0, y0, z0 = self._origin
-        c, s = self._cosine, self._sine
-        return np.array((c * x - s * y + x0, s * x + c * y + y0, z + z0))
-
     def sample(self, time_s: float) -> Reference:
         """Return the reference at `time_s` in local ENU."""
         own = self.trajectory.sample(time_s)
@@ -166,3 +159,9 @@ def place(
     if frame is Frame.LOCAL:
         return trajectory
     return placed(trajectory, takeoff_position_enu, takeoff_heading_rad)
+
+
+def told_in_flight(trajectory: Trajectory) -> bool:
+    """Whether another program tells it while it is flown (`companion.live`): nothing can be said of it before."""
+    own = trajectory.trajectory if isinstance(trajectory, Placed) else trajectory
+    return bool(getattr(own, "told_in_flight", False))

@@ -28,13 +28,14 @@ from companion.tuning.lagged_plant import THRUST_NOW, pack_lagged
 from companion.tuning.reference_table import HEADING_RAD, PERIOD_S, ReferenceTable
 from sitl_stub.physics.estimator import pack_settings
 from sitl_stub.physics.noise import random_state
-from sitl_stub.physics.vehicle import VehicleError, load_vehicle
+from sitl_stub.physics.vehicle import VehicleError, VehicleParameters, load_vehicle
 from sitl_stub.simulation import Simulation
 
 _fly_law: Any = numba.njit(error_model="numpy", nogil=True)(loop.fly_law)
 """Not through `compiled`: its argument is a law, itself compiled, for which numba's cache on disk has no lasting name.
 It would never find what it wrote, and fails over entries of other processes. Seconds, once a process and law."""
-_STUB_VEHICLES = {"qball2": "qball2", "px4_sih": "px4_sih", "arducopter_sitl": "arducopter"}
+STUB_VEHICLES = {"qball2": "qball2", "px4_sih": "px4_sih", "arducopter_sitl": "arducopter"}
+"""Shipped profiles whose vehicle the stub has; what a profile does not tell of any other (feet, battery) is px4_sih's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +77,24 @@ class Outcome:
     history: Vector  # (n, 20), see closed_loop.py; empty unless asked for
 
 
+def stub_vehicle(profile: VehicleProfile) -> VehicleParameters:
+    """The stub's vehicle with the profile's own numbers. Raises VehicleError where they make none."""
+    rotors = profile.rotors
+    count = len(rotors.layout)
+    return dataclasses.replace(
+        load_vehicle(STUB_VEHICLES.get(profile.name, "px4_sih")),
+        name=profile.name,
+        mass_kg=profile.mass_kg,
+        inertia_kg_m2=np.array(profile.inertia_kg_m2),
+        rotor_position_frd=np.column_stack((rotors.arms_m * (1.0, -1.0), np.zeros(count))),
+        rotor_spin=-rotors.spins,  # the stub counts the propeller's turn, the profile its reaction
+        max_thrust_newton=np.full(count, rotors.thrust_max_newton),
+        torque_per_thrust_m=rotors.torque_per_newton_m,
+        rotor_lag_rad_s=rotors.lag_rad_s,
+        linear_drag_kg_s=np.array(profile.drag_kg_s),
+    )
+
+
 class TrialFlight:
     """See the module. Raises UserError for a vehicle the stub does not know or a level the plant cannot take."""
 
@@ -111,9 +130,11 @@ class TrialFlight:
     def _simulated(self, plant: PlantChoice) -> Simulation:
         profile, scenario = self._profile, self._scenario
         try:
-            vehicle = load_vehicle(_STUB_VEHICLES.get(profile.name, profile.name))
+            vehicle = stub_vehicle(profile)
         except VehicleError as error:
-            raise UserError(f"tuning flies vehicles that the stub knows: {error}") from None
+            raise UserError(
+                f"profile {profile.name!r} is no vehicle that the stub can fly: {error}"
+            ) from None
         if plant.kind == "stub":
             vehicle = dataclasses.replace(
                 vehicle,

@@ -6,7 +6,9 @@ comparison between controllers is one between laws and not between amounts of ca
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -93,6 +95,8 @@ class Objective:
         self._calm = [self._flight(scenario) for scenario in CALM]
         self._rough = [self._flight(scenario) for scenario in ROUGH]
         self.flights = 0
+        # compiled flights let go of the interpreter, and each has arrays of its own
+        self._cores = ThreadPoolExecutor(os.cpu_count())
 
     def _tabulated(self, trajectory: str, track_s: float):  # type: ignore[no-untyped-def]
         profile, autopilot, _, level = self._fixed
@@ -106,13 +110,15 @@ class Objective:
 
     def __call__(self, gains: ControllerGains) -> float:
         """Mean over the calm flights, half the mean of the rough ones, and a quarter of the worst."""
-        calm = [score(flight.fly(gains)) for flight in self._calm]
-        rough = [score(flight.fly(gains)) for flight in self._rough]
-        self.flights += len(calm) + len(rough)
+        flights = [*self._calm, *self._rough]
+        scores = list(self._cores.map(lambda flight: score(flight.fly(gains)), flights))
+        calm, rough = scores[: len(self._calm)], scores[len(self._calm) :]
+        self.flights += len(flights)
         return float(np.mean(calm) + ROUGH_SHARE * np.mean(rough) + WORST_SHARE * max(rough))
 
     def verify(self, gains: ControllerGains, seeds: Sequence[int] = (1, 2, 3, 4, 5)) -> Iterator[Flown]:
         """Fly the whole 40 s for every seed, then each of `STRESS`."""
         calm = tuple(Scenario(f"seed {seed}", seed=seed) for seed in seeds)
-        for scenario in calm + STRESS:
-            yield Flown(scenario, self._flight(scenario, whole=True).fly(gains))
+        yield from self._cores.map(
+            lambda scenario: Flown(scenario, self._flight(scenario, whole=True).fly(gains)), calm + STRESS
+        )

@@ -147,7 +147,8 @@ class Tuning:
         stopped = False
         search = self.search
         try:
-            while search.evaluations < budget:
+            # whole generations only, as many as the budget has room for
+            while search.evaluations == 0 or search.evaluations + search.population <= budget:
                 points = search.ask()
                 best = search.best_cost
                 costs = np.array([self._objective(self.gains(point)) for point in points])

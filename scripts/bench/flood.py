@@ -1,15 +1,19 @@
 #!/usr/bin/env python3
 """What a stranger's flood does to a flight: 50,000 frames a second from another address, with the autopilot's own ids.
 
-    python scripts/bench/flood.py [--seconds 60] [--rate 50000] [--fifo] [--without-filter] [--json]
+    python scripts/bench/flood.py [--seconds 60] [--rate 50000] [--at link] [--fifo] [--without-filter] [--json]
 
 One flight against the stub in real time. The flood is on and off in turns of 2 s, so that what else the machine does falls
 on both; the ratio is what to look at. `--without-filter` shows what the kernel's filter of senders is for.
+
+`--at references` floods the port of `--trajectory live:udp:…` instead, whose client streams 50 points a second meanwhile;
+`--at client` is that client itself run wild: 50,000 good points a second.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import socket
@@ -27,7 +31,7 @@ PAUSE_S = 0.002
 LONGEST_BATCH_S = 0.02  # what is not sent for longer is not made up for
 
 
-def flood(port: int, rate: float) -> None:
+def flood(port: int, rate: float, at: str) -> None:
     """Send to `port` while stdin's last byte is `1`; says at the end how many a second it were."""
     from pymavlink.dialects.v20 import common as mavlink
 
@@ -36,7 +40,15 @@ def flood(port: int, rate: float) -> None:
         mavlink.MAVLink_attitude_quaternion_message(99_000, 0.0, 1.0, 0.0, 0.0, 9.0, 9.0, 9.0).pack(codec)
     )
     wire = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    client = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     wire.connect(("127.0.0.1", port))
+    client.connect(("127.0.0.1", port))
+    client.setblocking(False)
+
+    def point() -> bytes:
+        return b'{"time": %.9f, "position": [0, 0, 1], "velocity": [0, 0, 0]}' % time.perf_counter()
+
+    streamed = 0.0
     orders = sys.stdin.buffer
     os.set_blocking(orders.fileno(), False)
     on, sent, spent, since, due = False, 0, 0.0, 0.0, 0
@@ -46,12 +58,19 @@ def flood(port: int, rate: float) -> None:
             break
         if order:
             on, since, due = order[-1:] == b"1", time.perf_counter(), 0
+        now = time.perf_counter()
+        if at != "link" and now - streamed >= 0.02:
+            streamed = now
+            with contextlib.suppress(OSError):
+                client.send(point())
         if on:
-            now = time.perf_counter()
             batch = min(round(rate * (now - since)) - due, round(rate * LONGEST_BATCH_S))
             for _ in range(batch):
                 try:
-                    wire.send(frame)
+                    if at == "client":
+                        client.send(point())
+                    else:
+                        wire.send(frame)
                 except OSError:
                     continue
             sent, due = sent + batch, due + batch
@@ -65,7 +84,7 @@ def _flooded(time_s):
     return (time_s // TURN_S) % 2 == 1
 
 
-def fly(seconds: float, rate: float, fifo: bool) -> dict:
+def fly(seconds: float, rate: float, fifo: bool, target: str) -> dict:
     """One flight; the figures with and without the flood."""
     from companion.config.settings import load_settings
     from companion.control.structs import VehicleState
@@ -79,8 +98,13 @@ def fly(seconds: float, rate: float, fifo: bool) -> dict:
     from sitl_stub.stub_process import Stub
 
     with Stub("px4", seed=1) as stub, tempfile.TemporaryDirectory() as folder:
-        port = stub.endpoint.rsplit(":", 1)[1]
-        words = [sys.executable, __file__, "--flood", port, "--rate", str(rate)]
+        port, trajectory = stub.endpoint.rsplit(":", 1)[1], "lemniscate"
+        if target != "link":
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+                probe.bind(("127.0.0.1", 0))
+                port = str(probe.getsockname()[1])
+            trajectory = f"live:udp:{port}"
+        words = [sys.executable, __file__, "--flood", port, "--rate", str(rate), "--at", target]
         flooder = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
         if fifo:  # the autopilot is another computer, and so is the stranger: neither may wait for what else runs here
             assert stub.process is not None
@@ -99,7 +123,7 @@ def fly(seconds: float, rate: float, fifo: bool) -> dict:
             answer(loop, state)
 
         ControlLoop.on_state = on_state  # type: ignore[method-assign]
-        settings = load_settings("qball2", {}, [f"flight.duration_s={seconds}"])
+        settings = load_settings("qball2", {"trajectory": trajectory}, [f"flight.duration_s={seconds}"])
         log = Path(folder) / "flood.mcap"
         options = SessionOptions(Connection(parse_endpoint(stub.endpoint)), log, real_time=fifo)
         result = fly_session(settings, options, Reporter())
@@ -107,6 +131,8 @@ def fly(seconds: float, rate: float, fifo: bool) -> dict:
         told = json.loads(flooder.stdout.read())
         flooder.wait()
         record = read_log(log)
+    if result.outcome.exit_code:
+        raise SystemExit(f"the flight ended early: {result.text}")
     timing, reference = record.channels["/timing"], record.channels["/reference"]
     tracking = reference.time_s[np.isfinite(reference["tracking_time_s"])]
     at = timing.time_s
@@ -136,6 +162,9 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=60.0, help="of tracking")
     parser.add_argument("--rate", type=float, default=50_000.0, help="frames a second")
     parser.add_argument(
+        "--at", default="link", choices=("link", "references", "client"), help="what is flooded"
+    )
+    parser.add_argument(
         "--fifo", action="store_true", help="real-time scheduling: of the flight, and of both peers"
     )
     parser.add_argument(
@@ -145,13 +174,13 @@ def main() -> None:
     parser.add_argument("--flood", type=int, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.flood is not None:
-        flood(arguments.flood, arguments.rate)
+        flood(arguments.flood, arguments.rate, arguments.at)
         return
     if arguments.without_filter:
         import companion.mavlink.transport
 
         companion.mavlink.transport.hear_only = lambda *_: False
-    found = fly(arguments.seconds, arguments.rate, arguments.fifo)
+    found = fly(arguments.seconds, arguments.rate, arguments.fifo, arguments.at)
     if arguments.json:
         print(json.dumps(found, indent=2))
         return

@@ -141,3 +141,17 @@ def test_the_delay_of_each_stream_is_measured() -> None:
     assert {"ATTITUDE_QUATERNION", "LOCAL_POSITION_NED", "ODOMETRY"} <= set(delays)
     assert all(abs(age_ms - 40.0) < 5.0 for age_ms in ages_ms.values()), delays
     assert all("95 %" in found and "jitter" in found for found in delays.values())
+
+
+def test_a_profile_of_another_vehicle_is_doubted(capsys) -> None:
+    """The stub flies 1.79 kg and an attitude loop of 0.3 s by its gains: 3 kg and 0.57 s are of another vehicle."""
+    with stub_behind("--speed", "10") as port:
+        endpoint = f"udpin:127.0.0.1:{port}"
+        wrong = ("--set", "profile.mass_kg=3", "--set", "profile.responses.px4.dead_time_s=0.4")
+        _, output = checked(endpoint, capsys, "--profile", "qball2", *wrong)
+        found = {row["subject"]: row["found"] for row in json.loads(output)["findings"]}
+        assert "1.79 kg in the simulator" in found["mass"] and "says 3 kg" in found["mass"]
+        assert "s by its parameters" in found["attitude lag"] and "0.57 s" in found["attitude lag"]
+        for words in (("--profile", "qball2"), ()):
+            _, output = checked(endpoint, capsys, *words)
+            assert not {"mass", "attitude lag"} & set(verdicts(output))

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from engagements import airborne
 from link_flights import free_port
 from live_client import LEAD_IN_S, Streamer, as_json, as_mavlink, streaming
 from stub_flights import Flown, Pilot, fly_short, lockstep_stub
@@ -35,6 +36,7 @@ def flown(
     firmware: str = "px4",
     stub: tuple[str, ...] = (),
     at: dict[Phase, Callable[[], object]] | None = None,
+    from_air: bool = False,
 ) -> Flown:
     """One flight with `pump` called before each look for references."""
     wishes = [
@@ -44,7 +46,16 @@ def flown(
         *settings,
     ]
     with lockstep_stub(*stub, firmware=firmware) as autopilot, streaming(pump):
-        return fly_short(autopilot, tmp_path, at, wishes, trajectory=trajectory, real_time=False, fix=True)
+        return fly_short(
+            autopilot,
+            tmp_path,
+            at,
+            wishes,
+            trajectory=trajectory,
+            real_time=False,
+            fix=not from_air,
+            from_air=from_air,
+        )
 
 
 def rms_m(errors_m: np.ndarray) -> float:
@@ -53,6 +64,11 @@ def rms_m(errors_m: np.ndarray) -> float:
 
 def no_supervisor_landing(result: FlightResult) -> bool:
     return result.outcome.value == "completed"
+
+
+def began(flight: Flown, phase: str) -> float:
+    """When a phase began, autopilot's time."""
+    return next(event.time_s for event in flight.record.events_of("phase") if event.fields["phase"] == phase)
 
 
 def said(flight: Flown, words: str) -> bool:
@@ -179,6 +195,7 @@ def test_one_client_at_a_time_and_strangers_are_dropped_unread(tmp_path: Path) -
     assert int(flight.record.metadata["wall references"]["dropped unread (strangers, or too many)"]) == 2
     track = flight.record.events_of("tracking")
     assert 5.5 <= track[-1].time_s - track[0].time_s < 6.0
+    assert began(flight, "land") - track[-1].time_s < 5.0  # home at once, not when it would have been over
     asked = [json.loads(data) for _, _, data in flight.record.live]
     assert all(fields.get("position", [0])[0] != 5 for fields in asked)
 
@@ -240,9 +257,8 @@ def test_nothing_that_comes_in_can_arm_or_command_or_raise_a_limit(tmp_path: Pat
     assert flight.modes[1:3] == ["OFFBOARD", "AUTO.LAND"]
     _, sent = flight.record.mavlink["out"]
     kinds = {frame[7] | frame[8] << 8 | frame[9] << 16 for frame in sent}
-    refused = {mav.MAVLINK_MSG_ID_PARAM_SET, mav.MAVLINK_MSG_ID_SET_MODE, mav.MAVLINK_MSG_ID_COMMAND_INT}
-    assert not kinds & refused
-    assert len([frame for frame in sent if frame in orders]) == 0
+    assert not kinds & {mav.MAVLINK_MSG_ID_SET_MODE, mav.MAVLINK_MSG_ID_COMMAND_INT}
+    assert not any(b"MPC_XY_VEL_MAX" in frame for frame in sent) and not set(sent) & set(orders)
 
 
 def test_settings_cannot_be_sent_and_impossible_points_are_refused(tmp_path: Path) -> None:
@@ -311,3 +327,26 @@ def test_standard_input_is_flown_line_by_line_and_its_end_ends_the_flight(
     at_end = truth["position_enu"][np.searchsorted(truth.time_s, track[-1].time_s)]
     start = flight.record.events_of("layout")[0].fields["origin_enu"]
     assert math.hypot(*(at_end - start)[:2]) == pytest.approx(0.5, abs=0.05)
+
+
+def test_references_of_a_vehicle_that_hovers_already(tmp_path: Path) -> None:
+    """Engaged at 3 m; heights count from the place of take-off, x and y from where it was engaged, along its heading."""
+    port = free_port()
+    script = [(0.02 * k, "client", place(0.5, 0, 3.5)) for k in range(300)] + [
+        (6.1, "client", b'{"end": true}')
+    ]
+    flight = flown(
+        tmp_path,
+        f"live:udp:{port}",
+        Once(port, script).pump,
+        3600.0,
+        stub=tuple(airborne("px4")),
+        from_air=True,
+    )
+    assert no_supervisor_landing(flight.result), flight.result.text
+    track, truth = flight.record.events_of("tracking"), flight.record.channels["/truth"]
+    there = truth["position_enu"][np.searchsorted(truth.time_s, track[0].time_s + 6.0)]
+    begun = truth["position_enu"][np.searchsorted(truth.time_s, track[0].time_s)]
+    assert there[2] == pytest.approx(3.5, abs=0.15)
+    assert math.hypot(*(there - begun)[:2]) == pytest.approx(0.5, abs=0.1)
+    assert flight.record.end_time_s - track[-1].time_s < 30.0

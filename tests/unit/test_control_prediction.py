@@ -175,7 +175,8 @@ def test_only_the_newest_setpoints_are_remembered_however_many_there_were():
 def test_thrust_acts_after_a_dead_time_of_its_own(thrust_dead):
     """Hover, then 1.3 times its thrust from t = 0 on: v = 0.3 g (τ − (1 − e^(−15 τ)) / 15), τ since it acts, by hand.
 
-    The attitude's dead time is 0.07 s: with it for the thrust too, 10 ms become 70 and vz is 0.1 m/s behind.
+    The attitude's dead time is 0.07 s: with it for the thrust too, 10 ms become 70 and vz is 0.1 m/s behind. Beyond what
+    is decided at 0.15 s the thrust goes to the mean of the last 0.25 s: 10 setpoints of the weight and 15 of 1.3 times it.
     """
     responses = {"px4": QBALL2.response().model_copy(update={"thrust_dead_time_s": thrust_dead})}
     predictor = Predictor(
@@ -195,4 +196,27 @@ def test_thrust_acts_after_a_dead_time_of_its_own(thrust_dead):
     now = VehicleState(0.15, still, np.array([0.0, 0.0, speed_up(0.15)]), level, still)
     ahead = predictor.predict(now)
     assert ahead.time_s == pytest.approx(0.22)
-    assert ahead.velocity_enu[2] == pytest.approx(speed_up(0.22), abs=0.003)
+    decided = min(0.22, 0.15 + thrust_dead)
+    usual, acting = 0.3 * 15 / 25, 0.3 * (1.0 - math.exp(-15.0 * max(0.0, decided - thrust_dead)))
+    rest = usual * (0.22 - decided) + (acting - usual) * (1.0 - math.exp(-15.0 * (0.22 - decided))) / 15.0
+    assert ahead.velocity_enu[2] == pytest.approx(speed_up(decided) + GRAVITY * rest, abs=0.003)
+
+
+def test_a_thrust_that_swings_is_not_held_against_the_law():
+    """Thrust that alternates about the weight at every step, as a law makes it that answers its own answer: with 0.14 s of
+    dead time, 0.13 of them after the thrust, what is predicted hardly depends on which of the two came last."""
+    slow = QBALL2.response().model_copy(update={"dead_time_s": 0.14})
+    level, still = np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
+    found = []
+    for count in (60, 61):
+        predictor = Predictor(
+            QBALL2.model_copy(update={"responses": {"px4": slow}}), ControlLevel.ATTITUDE, "px4"
+        )
+        for k in range(count):
+            thrust = QBALL2.mass_kg * GRAVITY * (1.3 if k % 2 else 0.7)
+            predictor.sent(0.01 * k, Setpoint(ControlLevel.ATTITUDE, thrust, level, still, still))
+        predictor._mass = QBALL2.mass_kg
+        found.append(
+            predictor.predict(VehicleState(0.01 * count, still, still, level, still)).velocity_enu[2]
+        )
+    assert abs(found[0] - found[1]) < 0.03  # held, it was 0.46 m/s

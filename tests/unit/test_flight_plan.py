@@ -7,11 +7,14 @@ import math
 import numpy as np
 import pytest
 
+from companion.config.safety import SafetyLimits
 from companion.control.structs import Reference
+from companion.flight.fence import plan_margins
 from companion.flight.phases import Phase
-from companion.flight.plan import lay_out, lay_out_in_air, stopping_plan, tracking_time
+from companion.flight.plan import lay_out, lay_out_in_air, stopping_plan, tracking_time, way_back
+from companion.live.trajectory import trajectory_or_live
 from companion.reference.registry import trajectory_from_text
-from companion.reference.trajectory import Frame, place
+from companion.reference.trajectory import Frame, place, resting
 from companion.reference.transit import TransitLimits, run_out
 
 LIMITS = TransitLimits(speed_m_s=0.8, acceleration_m_s2=0.8, jerk_m_s3=2.0, height_min_m=0.25)
@@ -28,7 +31,7 @@ def at_rest(x, y, z, yaw):
 
 def plan_of(text, ground, track_s=10.0, frame=Frame.TAKEOFF):
     trajectory = place(trajectory_from_text(text), frame, ground.position_enu, ground.yaw_rad)
-    return lay_out(ground, trajectory, track_s, 2.0, float(ground.position_enu[2]) + 1.0, LIMITS)
+    return lay_out(ground, trajectory, track_s, 2.0, 1.0, LIMITS)
 
 
 PLANS = [
@@ -147,3 +150,34 @@ def test_a_plan_that_begins_in_the_air_begins_as_the_vehicle_moves_and_ends_wher
         before, after = plan.sample(leg.start_s - 1e-7), plan.sample(leg.start_s + 1e-7)
         np.testing.assert_allclose(before.position_enu, after.position_enu, atol=1e-5)
         np.testing.assert_allclose(before.velocity_enu, after.velocity_enu, atol=1e-5)
+
+
+@pytest.mark.parametrize("ground_m", [2.0, -3.0])
+def test_the_take_off_height_is_above_the_ground_wherever_the_frame_has_its_zero(ground_m):
+    climb = plan_of("hover", at_rest(1, 2, ground_m, 0.0)).leg(Phase.CLIMB)
+    assert climb.trajectory.sample(climb.duration_s).position_enu[2] == pytest.approx(ground_m + 1.0)
+
+
+def test_a_plan_that_is_changed_goes_on_from_there_without_a_step():
+    """An hour of tracking that ends after 4 s: what was behind it follows at once."""
+    plan = plan_of("lemniscate", at_rest(0, 0, 0, 0.0), track_s=3600.0)
+    track = plan.leg(Phase.TRACK)
+    cut_s = track.start_s + 4.0
+    home = resting(np.array([0.0, 0.0, 1.0]), 0.0)
+    before = plan.sample(cut_s - 1e-9)
+    plan.change_from(cut_s, way_back(track.trajectory.sample(4.0), home, LIMITS))
+    assert [leg.phase for leg in plan.legs] == ORDER
+    assert plan.leg(Phase.RUN_OUT).start_s == pytest.approx(cut_s) and plan.duration_s < cut_s + 20.0
+    after = plan.sample(cut_s + 1e-9)
+    for name in ("position_enu", "velocity_enu", "acceleration_enu"):
+        np.testing.assert_allclose(getattr(before, name), getattr(after, name), atol=1e-6)
+    np.testing.assert_allclose(plan.sample(plan.duration_s).position_enu, [0, 0, 1], atol=1e-9)
+
+
+def test_an_hour_of_references_that_are_not_known_yet_is_not_sampled():
+    live = trajectory_or_live("live:udp:14700")
+    live.stand_at(np.array([0.0, 0.0, 1.0]), 0.0)
+    ground = at_rest(0, 0, 0, 0.0)
+    plan = lay_out(ground, place(live, Frame.TAKEOFF, ground.position_enu, 0.0), 1e7, 2.0, 1.0, LIMITS)
+    fence = SafetyLimits().fence
+    assert plan_margins(fence, plan, ground.position_enu).horizontal_m == pytest.approx(fence.radius_m)

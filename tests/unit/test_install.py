@@ -154,7 +154,10 @@ def test_the_service_is_made_for_one_flight(installed: Path) -> None:
 def test_its_command_line_is_understood_and_the_pilot_arms(
     installed: Path, module, capsys, unit: str, command: str
 ) -> None:
-    """The service's words, with the example's variables as systemd fills them in, up to the profile that is not there."""
+    """The service's words, with the example's variables as systemd fills them in, up to a profile that is not there.
+
+    The example names none, and an empty one is none.
+    """
     variables = dict(
         line.split("=", 1)
         for line in (installed / "etc/dtlannc-companion/example.env").read_text().splitlines()
@@ -168,8 +171,11 @@ def test_its_command_line_is_understood_and_the_pilot_arms(
     assert words[:3] == [str(VENV / "bin/python"), "-m", "companion.cli.main"]
     assert words[3] == command and ("--wait-for-offboard" in words) is (command == "fly")
     assert "--arm" not in words
+    at = words.index("--profile") + 1
+    assert words[at] == ""
+    words[at] = str(installed / "my_drone.toml")
     assert main(words[3:]) == 2
-    assert "/etc/dtlannc-companion/my_drone.toml" in capsys.readouterr().err
+    assert "my_drone.toml" in capsys.readouterr().err
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd here")

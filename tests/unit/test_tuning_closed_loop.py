@@ -17,9 +17,11 @@ from companion.mavlink.frames import (
     quaternion_enu_flu_from_ned_frd,
     quaternion_ned_frd_from_enu_flu,
 )
-from companion.tuning.flight import PlantChoice, Scenario, TrialFlight
+from companion.tuning.flight import PlantChoice, Scenario, TrialFlight, stub_vehicle
+from companion.tuning.margins import least_lag_margin, stiffened
 from companion.tuning.objective import score
 from companion.tuning.reference_table import HEADING_RAD, reference_table
+from sitl_stub.physics.vehicle import load_vehicle
 from sitl_stub.simulation import Simulation
 
 QBALL2 = load_profile("qball2")
@@ -167,3 +169,27 @@ def test_what_is_predicted_of_the_attitude_loop_cuts_the_error_by_30_percent():
     with_it = [position_rms(profile, 1.0, seed) for seed in (1, 2, 3)]
     without = [position_rms(blind, 0.0, seed) for seed in (1, 2, 3)]
     assert np.mean(with_it) < 0.7 * np.mean(without)
+
+
+def test_the_plant_is_the_profiles_vehicle():
+    """A vehicle that the stub has never heard of, and a shipped one changed by --set: both with the profile's numbers."""
+    own = load_profile(None, ["mass_kg=2.5", "rotors.thrust_max_newton=15.0", "rotors.lag_rad_s=11.0"])
+    vehicle = stub_vehicle(own)
+    assert vehicle.mass_kg == 2.5 and vehicle.max_thrust_newton.tolist() == [15.0] * 4
+    assert vehicle.rotor_lag_rad_s == 11.0 and vehicle.inertia_kg_m2.tolist() == [0.025, 0.025, 0.045]
+    heavy, shipped = stub_vehicle(load_profile("qball2", ["mass_kg=2.0"])), load_vehicle("qball2")
+    assert heavy.mass_kg == 2.0 and heavy.foot_height_m == shipped.foot_height_m
+    assert np.allclose(heavy.rotor_position_frd, shipped.rotor_position_frd)
+    assert heavy.rotor_spin.tolist() == shipped.rotor_spin.tolist()
+
+
+def test_the_margin_chosen_stands_half_as_much_again():
+    """px4_sih with the common gains: a margin is found at which flights with 1.5 times gain and lag end well."""
+    profile = load_profile("px4_sih")
+    margin = least_lag_margin(profile, "px4")
+    assert margin is not None and 1.0 <= margin <= 1.5
+    gains = profile.controllers["dtlannc"].attitude
+    assert gains is not None
+    stiff = stiffened(gains, 1.5)
+    assert stiff.position_loop.K_U[0] == pytest.approx(1.5 * gains.position_loop.K_U[0])
+    assert stiff.position_loop.K_e == gains.position_loop.K_e
