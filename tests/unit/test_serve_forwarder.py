@@ -146,7 +146,9 @@ def test_frames_of_a_datagram_by_their_lengths() -> None:
 
 
 @pytest.mark.parametrize(
-    "data", [packed(PING), UNKNOWN, packed(PING) + UNKNOWN, packed(PING, signer=Signer(KEY))]
+    "data",
+    [packed(PING), UNKNOWN, packed(PING) + UNKNOWN, packed(PING, signer=Signer(KEY))],
+    ids=["known", "unknown", "several", "signed"],
 )
 def test_both_ways_byte_for_byte(served: tuple[Served, Wire, int], data: bytes) -> None:
     """Known or not, one frame or several, signed with a key that we do not have."""
